@@ -1,0 +1,47 @@
+"""Fit reflectance models to measured BRDF tables, with uncertainties.
+
+``load`` a table, ``fit`` a model to it, sample its ``posterior``, or draw from the raw table with
+``TableSampler``. Tables and formats import no JAX; the numerics load on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from fitter._version import __version__
+from fitter.errors import FitError, FitterError, SpecError, TableError
+from fitter.formats import load, load_all
+from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
+from fitter.table import Channel, Grid, Metadata, Table
+
+if TYPE_CHECKING:
+    from fitter import models
+    from fitter.compression import CompressedTable, compress
+    from fitter.fitting import FitResult, fit, load_fit
+    from fitter.posterior import Posterior, posterior
+    from fitter.sampling import Samples, TableSampler
+
+__all__ = [
+    "Channel", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid", "Metadata",
+    "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
+    "TableSampler", "__version__", "compress", "fit", "load", "load_all", "load_fit", "models", "posterior",
+]  # fmt: skip
+
+# Where each name lives that is loaded on first use (JAX takes about a second to import).
+_LAZY = {
+    "CompressedTable": "fitter.compression", "compress": "fitter.compression",
+    "FitResult": "fitter.fitting", "fit": "fitter.fitting", "load_fit": "fitter.fitting",
+    "Posterior": "fitter.posterior", "posterior": "fitter.posterior",
+    "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name == "models":
+        return importlib.import_module("fitter.models")
+    if name in _LAZY:
+        found = getattr(importlib.import_module(_LAZY[name]), name)
+        globals()[name] = found
+        return found
+    raise AttributeError(f"module 'fitter' has no attribute {name!r}")

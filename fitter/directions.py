@@ -1,0 +1,87 @@
+"""Frames and angles: the only place that knows a convention.
+
+Every direction is a unit vector that points *away* from the surface; the normal is +z and the sample's
+own x axis is +x. Angles are radians. ``wi`` is towards the light, ``wo`` towards the viewer.
+Functions broadcast over leading axes; a vector array has shape (..., 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike, NDArray
+
+Vectors = Float[np.ndarray, "*n 3"]
+Angles = Float[np.ndarray, "*n"]
+
+
+def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
+    """Unit vector at polar angle ``theta`` from the normal and azimuth ``phi`` from +x (radians)."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
+    sin_theta = np.sin(theta)
+    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def spherical_from_vector(w: ArrayLike) -> tuple[Angles, Angles]:
+    """Polar angle in [0, pi] and azimuth in (-pi, pi] of vectors (..., 3); azimuth 0 at the normal.
+
+    The polar angle is atan2(|w_xy|, w_z), exact near the normal where arccos(w_z) loses half its digits.
+    """
+    w = np.asarray(w, np.float64)
+    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
+
+
+def vectors_from_half_difference(
+    theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0
+) -> tuple[Vectors, Vectors]:
+    """``(wi, wo)`` from Rusinkiewicz angles (radians), S. Rusinkiewicz 1998, "A new change of variables".
+
+    ``wi`` is the difference vector (theta_d, phi_d) turned by theta_h about +y, then by phi_h about +z;
+    ``wo`` its mirror image in the half vector.
+    """
+    theta_h, theta_d, phi_d, phi_h = np.broadcast_arrays(
+        *(np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
+    )
+    sin_h, cos_h = np.sin(theta_h), np.cos(theta_h)
+    sin_d, cos_d = np.sin(theta_d), np.cos(theta_d)
+    dx, dy = sin_d * np.cos(phi_d), sin_d * np.sin(phi_d)
+    turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
+
+    def place(x: NDArray[np.float64], y: NDArray[np.float64]) -> Vectors:
+        along = cos_h * x + sin_h * cos_d
+        return np.stack(
+            [turn_x * along - turn_y * y, turn_y * along + turn_x * y, cos_h * cos_d - sin_h * x], axis=-1
+        )
+
+    return place(dx, dy), place(-dx, -dy)
+
+
+def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, Angles, Angles, Angles]:
+    """``(theta_h, phi_h, theta_d, phi_d)`` of direction pairs (..., 3), phi_d in (-pi, pi].
+
+    Inverse of :func:`vectors_from_half_difference`. Where wi = -wo the half vector is undefined and
+    (0, 0, pi/2, azimuth of wi) is returned.
+    """
+    wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
+    h = wi + wo
+    theta_h, phi_h = spherical_from_vector(h)
+    cos_p, sin_p, cos_h, sin_h = np.cos(phi_h), np.sin(phi_h), np.cos(theta_h), np.sin(theta_h)
+    # Half the difference of the pair is orthogonal to h: its length is sin(theta_d) without cancellation.
+    d = 0.5 * (wi - wo)
+    along = cos_p * d[..., 0] + sin_p * d[..., 1]
+    x = cos_h * along - sin_h * d[..., 2]
+    y = cos_p * d[..., 1] - sin_p * d[..., 0]
+    theta_d = np.arctan2(np.linalg.norm(d, axis=-1), 0.5 * np.linalg.norm(h, axis=-1))
+    return theta_h, phi_h, theta_d, np.arctan2(y, x)
+
+
+def mirror(w: ArrayLike) -> Vectors:
+    """Ideal specular direction of ``w`` (..., 3): (-x, -y, z)."""
+    return np.asarray(w, np.float64) * np.array([-1.0, -1.0, 1.0])
+
+
+def unit(w: ArrayLike) -> Vectors:
+    """``w`` (..., 3) scaled to unit length; a zero vector stays zero."""
+    w = np.asarray(w, np.float64)
+    length = np.linalg.norm(w, axis=-1, keepdims=True)
+    return w / np.where(length > 0, length, 1.0)

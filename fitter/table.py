@@ -1,0 +1,417 @@
+"""Table: what was measured, on what grid, over what domain."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitter import directions
+from fitter.errors import TableError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+Symmetry = Literal["isotropic", "anisotropic"]
+Quantity = Literal["brdf", "ccbrdf", "reflectance_factor"]
+QUANTITIES: tuple[Quantity, ...] = ("brdf", "ccbrdf", "reflectance_factor")
+
+#: Coordinate systems a grid may be regular in, with their axes in storage order (the last runs fastest).
+GRID_AXES: Mapping[str, tuple[str, ...]] = {
+    "half_difference": ("theta_h", "theta_d", "phi_d"),
+    "spherical_isotropic": ("theta_i", "theta_o", "dphi"),
+    "spherical": ("theta_i", "phi_i", "theta_o", "phi_o"),
+}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured channel: its name and, where it is a line or a narrow band, its wavelength in nm."""
+
+    name: str
+    wavelength_nm: float | None = None
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A product grid: ``axes`` maps each axis of ``GRID_AXES[system]``, in order, to increasing radians.
+
+    In ``spherical_isotropic`` the incident azimuth is 0 and ``dphi`` is phi_o - phi_i, so that the
+    specular side is dphi = pi. ``periodic`` names azimuth axes that close on themselves and their period.
+    """
+
+    system: str
+    axes: Mapping[str, FloatArray]
+    periodic: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def __post_init__(self) -> None:
+        if tuple(self.axes) != GRID_AXES.get(self.system):
+            raise TableError(
+                f"a {self.system!r} grid can't have the axes {tuple(self.axes)}", code="grid-axes",
+                remedy=f"use one of {dict(GRID_AXES)}",
+            )  # fmt: skip
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(len(axis) for axis in self.axes.values())
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape))
+
+    def coordinates(self, index: NDArray[np.intp] | None = None) -> tuple[FloatArray, ...]:
+        """Coordinates of the cells ``index`` (default all, in storage order), one (n,) array per axis."""
+        if index is None:
+            mesh = np.meshgrid(*self.axes.values(), indexing="ij")
+            return tuple(axis.reshape(-1) for axis in mesh)
+        where = np.unravel_index(index, self.shape)
+        return tuple(axis[i] for axis, i in zip(self.axes.values(), where, strict=True))
+
+    def directions(self, index: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray]:
+        """``(wi, wo)``, each (n, 3), of the cells ``index`` (default all, in storage order)."""
+        c = self.coordinates(index)
+        if self.system == "half_difference":
+            return directions.vectors_from_half_difference(c[0], c[1], c[2])
+        if self.system == "spherical_isotropic":
+            return directions.vector_from_spherical(c[0], 0.0), directions.vector_from_spherical(c[1], c[2])
+        return directions.vector_from_spherical(c[0], c[1]), directions.vector_from_spherical(c[2], c[3])
+
+    def locate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, ...]:
+        """Grid coordinates of direction pairs (n, 3): the inverse of :meth:`directions`, one (n,) per axis.
+
+        Azimuths are brought into one period that starts at the axis' first node; ``dphi`` and ``phi_d``
+        are folded where the axis covers only half a turn (isotropic surfaces are mirror-symmetric, and
+        phi_d + pi is the reciprocal pair).
+        """
+        if self.system == "half_difference":
+            theta_h, _, theta_d, phi_d = directions.half_difference_from_vectors(wi, wo)
+            return theta_h, theta_d, self._wrap("phi_d", phi_d)
+        theta_i, phi_i = directions.spherical_from_vector(wi)
+        theta_o, phi_o = directions.spherical_from_vector(wo)
+        if self.system == "spherical_isotropic":
+            return theta_i, theta_o, self._wrap("dphi", phi_o - phi_i)
+        return theta_i, self._wrap("phi_i", phi_i), theta_o, self._wrap("phi_o", phi_o)
+
+    def _wrap(self, name: str, angle: FloatArray) -> FloatArray:
+        axis = self.axes[name]
+        period = self.periodic.get(name, 2 * np.pi)
+        wrapped = axis[0] + np.mod(angle - axis[0], period)
+        if name == "dphi" and name not in self.periodic:
+            folded = np.abs(np.mod(angle + np.pi, 2 * np.pi) - np.pi)
+            return np.where((wrapped > axis[-1]) & (folded >= axis[0]), folded, wrapped)
+        return wrapped
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """Where a table comes from and what was done to it on reading. Everything here is JSON-ready.
+
+    ``quantity`` is what the *file* held; :attr:`Table.value` is always f_r in 1/sr without the cosine.
+    ``scale_uncertainty`` is relative and common to the whole table, ``angle_uncertainty`` and
+    ``aperture`` (receiver, full angle) are in radians; each is standard (k = 1), None where not stated.
+    ``masked`` counts the samples masked by each reason. ``notes`` are sentences a person should read.
+    """
+
+    name: str = ""
+    source_format: str = "arrays"
+    quantity: Quantity = "brdf"
+    convention: str = ""
+    sha256: str = ""
+    scale_uncertainty: float | None = None
+    angle_uncertainty: float | None = None
+    aperture: float | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    masked: Mapping[str, int] = field(default_factory=dict[str, int])
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The range of directions a table was measured over (radians); outside it values are extrapolated."""
+
+    theta_i: tuple[float, float]
+    theta_o: tuple[float, float]
+    incidences: int
+    in_plane: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "theta_i_deg": [float(np.rad2deg(a)) for a in self.theta_i],
+            "theta_o_deg": [float(np.rad2deg(a)) for a in self.theta_o],
+            "incidences": self.incidences,
+            "in_plane": self.in_plane,
+        }
+
+
+#: Directions closer than this (radians) are one direction: gonioreflectometers repeat to about 1e-4.
+SAME_DIRECTION = 1e-6
+
+
+class Table:
+    """Measured reflectance f_r(wi, wo) in 1/sr, without the cosine.
+
+    Parameters
+    ----------
+    wi, wo : (N, 3) unit vectors away from the surface; leave both out when ``grid`` is given.
+    value : (N, C) or (N,) f_r in 1/sr, in the grid's storage order. Kept exactly as given.
+    sigma : (N, C), random standard uncertainty (k = 1) in 1/sr, or None where not measured.
+    channels : names or :class:`Channel`; default "value", "R G B" for three, else "c0", "c1", ...
+    grid : the product grid the samples lie on, or None when scattered.
+    mask : (N,) False for samples the caller knows to be unusable.
+    negatives : "mask" (the default) or "keep": whether negative values count as usable.
+    duplicates : "mask" (all but the first of each geometry, the default) or "keep".
+
+    Attributes
+    ----------
+    mask : (N,) True where usable. Masked samples keep their values and are counted by reason in
+        ``metadata.masked``: non-finite or negative values, directions below the horizon, sigma that is
+        not positive, repeated geometries.
+
+    Raises
+    ------
+    TableError : shapes that don't match, vectors that aren't unit vectors, nothing usable.
+    """
+
+    def __init__(
+        self,
+        *,
+        wi: ArrayLike | None = None,
+        wo: ArrayLike | None = None,
+        value: ArrayLike,
+        sigma: ArrayLike | None = None,
+        channels: Sequence[str | Channel] | None = None,
+        grid: Grid | None = None,
+        mask: ArrayLike | None = None,
+        symmetry: Symmetry | None = None,
+        metadata: Metadata | None = None,
+        negatives: Literal["mask", "keep"] = "mask",
+        duplicates: Literal["mask", "keep"] = "mask",
+    ) -> None:
+        self.metadata = metadata or Metadata()
+        self.grid = grid
+        self.value = _columns("value", value)
+        n = len(self.value)
+        if n == 0:
+            raise self._error("the table holds no samples", "table-empty", remedy="check that the file is whole")
+        self._wi, self._wo = self._check_directions(wi, wo, n)
+        self.sigma = None if sigma is None else _columns("sigma", sigma)
+        if self.sigma is not None and self.sigma.shape != self.value.shape:
+            raise self._error(
+                f"sigma has shape {self.sigma.shape}, value {self.value.shape}", "table-shape",
+                parameter="sigma", remedy="give one standard uncertainty per value",
+            )  # fmt: skip
+        self.channels = _channels(channels, self.value.shape[1])
+        reasons = self._reasons(mask, negatives, duplicates)
+        self.mask: BoolArray = np.ones(n, bool)
+        counts = dict(self.metadata.masked)
+        for reason, bad in reasons.items():
+            fresh = int(np.count_nonzero(bad & self.mask))
+            if fresh:
+                counts[reason] = counts.get(reason, 0) + fresh
+            self.mask &= ~bad
+        self.metadata = replace(self.metadata, masked=counts)
+        if not self.mask.any():
+            raise self._error(
+                f"none of the {n} samples is usable ({_counted(counts)})", "table-nothing-usable",
+                cause="a wrong unit, quantity or convention, or a file of fill values",
+                remedy="check how the columns were declared",
+            )  # fmt: skip
+        self.symmetry: Symmetry = symmetry or self._guess_symmetry()
+
+    def _check_directions(
+        self, wi: ArrayLike | None, wo: ArrayLike | None, n: int
+    ) -> tuple[FloatArray | None, FloatArray | None]:
+        if self.grid is not None:
+            if wi is not None or wo is not None:
+                raise self._error("give either a grid or directions, not both", "table-shape")
+            if self.grid.size != n:
+                raise self._error(
+                    f"the grid has {self.grid.size} cells {self.grid.shape}, value {n} rows", "table-shape"
+                )
+            return None, None
+        if wi is None or wo is None:
+            raise self._error("a scattered table needs both wi and wo", "table-shape")
+        pair: list[FloatArray] = []
+        for name, given in (("wi", wi), ("wo", wo)):
+            w = np.ascontiguousarray(given, np.float64)
+            if w.shape != (n, 3):
+                raise self._error(f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name)
+            off = np.abs(np.einsum("ij,ij->i", w, w) - 1.0) > 1e-6
+            off &= np.isfinite(w).all(axis=1)
+            if off.any():
+                raise self._error(
+                    f"row {int(np.argmax(off)) + 1} of {name} is not a unit vector", "table-not-unit",
+                    parameter=name, remedy="divide each direction by its length",
+                )  # fmt: skip
+            pair.append(w)
+        return pair[0], pair[1]
+
+    def _reasons(self, mask: ArrayLike | None, negatives: str, duplicates: str) -> dict[str, BoolArray]:
+        n = len(self.value)
+        reasons: dict[str, BoolArray] = {}
+        if mask is not None:
+            given = np.asarray(mask, bool)
+            if given.shape != (n,):
+                raise self._error(f"mask has shape {given.shape}, expected ({n},)", "table-shape", parameter="mask")
+            reasons["marked unusable by its source"] = ~given
+        reasons["missing or not finite"] = ~np.isfinite(self.value).all(axis=1)
+        if negatives == "mask":
+            reasons["negative"] = (self.value < 0).any(axis=1)
+        if self.sigma is not None:
+            reasons["sigma missing or not positive"] = ~((self.sigma > 0) & np.isfinite(self.sigma)).all(axis=1)
+        if self.grid is None:
+            reasons["direction not finite"] = ~(
+                np.isfinite(self.wi).all(axis=1) & np.isfinite(self.wo).all(axis=1)
+            )
+        reasons["below the horizon"] = ~self._above_horizon()
+        if self.grid is None and duplicates == "mask":
+            reasons["repeated geometry"] = self.repeats
+        return reasons
+
+    def _above_horizon(self) -> BoolArray:
+        if self.grid is None:
+            return (self.wi[:, 2] > 0) & (self.wo[:, 2] > 0)
+        axes = self.grid.axes
+        if self.grid.system == "half_difference":
+            # z of each direction is cos_h cos_d -+ sin_h sin_d cos(phi_d): no need to expand the vectors.
+            h = axes["theta_h"][:, None, None]
+            d = axes["theta_d"][None, :, None]
+            tilt = np.abs(np.sin(h) * np.sin(d) * np.cos(axes["phi_d"][None, None, :]))
+            return (np.cos(h) * np.cos(d) - tilt > 0).reshape(-1)
+        below = {name: np.cos(axis) > 1e-12 for name, axis in axes.items() if name.startswith("theta")}
+        shape = self.grid.shape
+        ok = np.ones(shape, bool)
+        for position, name in enumerate(axes):
+            if name in below:
+                ok &= below[name].reshape([-1 if k == position else 1 for k in range(len(shape))])
+        return ok.reshape(-1)
+
+    @cached_property
+    def repeats(self) -> BoolArray:
+        """(N,) True for every sample whose geometry an earlier sample has (scattered tables)."""
+        if self.grid is not None:
+            return np.zeros(len(self), bool)
+        key = np.round(np.concatenate([self.wi, self.wo], axis=1) / SAME_DIRECTION).astype(np.int64)
+        _, first = np.unique(key, axis=0, return_index=True)
+        repeated = np.ones(len(self), bool)
+        repeated[first] = False
+        return repeated
+
+    def _guess_symmetry(self) -> Symmetry:
+        if self.grid is not None:
+            return "anisotropic" if self.grid.system == "spherical" else "isotropic"
+        theta, phi = directions.spherical_from_vector(self.wi[self.mask])
+        tilted = theta > 1e-3
+        # One incident azimuth only: the table can't tell, and the isotropic reading is the usual one.
+        spread = np.ptp(np.unwrap(np.sort(phi[tilted]))) if tilted.any() else 0.0
+        return "isotropic" if spread < 1e-3 else "anisotropic"
+
+    def _error(self, message: str, code: str, **keywords: Any) -> TableError:
+        return TableError(message, code=code, file=self.metadata.name or None, **keywords)
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def __repr__(self) -> str:
+        names = ", ".join(channel.name for channel in self.channels)
+        kind = "scattered" if self.grid is None else f"{self.grid.system} grid {self.grid.shape}"
+        return f"<Table {self.metadata.name!r}: {len(self)} samples, {int(self.mask.sum())} usable, [{names}], {kind}>"
+
+    @property
+    def wi(self) -> FloatArray:
+        """(N, 3) directions towards the light; computed from the grid when asked for, not stored."""
+        if self._wi is not None:
+            return self._wi
+        assert self.grid is not None
+        return self.grid.directions()[0]
+
+    @property
+    def wo(self) -> FloatArray:
+        """(N, 3) directions towards the viewer; computed from the grid when asked for, not stored."""
+        if self._wo is not None:
+            return self._wo
+        assert self.grid is not None
+        return self.grid.directions()[1]
+
+    def directions(self, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """``(wi, wo)`` of the samples ``index`` only, each (n, 3)."""
+        if self.grid is not None:
+            return self.grid.directions(index)
+        assert self._wi is not None
+        assert self._wo is not None
+        return self._wi[index], self._wo[index]
+
+    @cached_property
+    def domain(self) -> Domain:
+        """Range of the usable samples."""
+        index = np.flatnonzero(self.mask)
+        wi, wo = self.directions(index)
+        theta_i, phi_i = directions.spherical_from_vector(wi)
+        theta_o, _ = directions.spherical_from_vector(wo)
+        # Out of plane where the triple product n . (wi x wo) is not zero.
+        out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
+        azimuth = phi_i if self.symmetry == "anisotropic" else np.zeros_like(phi_i)
+        incident = np.round(np.stack([theta_i, np.where(theta_i > 1e-6, azimuth, 0.0)], axis=1), 5)
+        return Domain(
+            theta_i=(float(theta_i.min()), float(theta_i.max())),
+            theta_o=(float(theta_o.min()), float(theta_o.max())),
+            incidences=len(np.unique(incident, axis=0)),
+            in_plane=bool(out_of_plane.max() < 1e-3),
+        )
+
+    @cached_property
+    def hash(self) -> str:
+        """sha256 of what was measured (geometry, values, sigma, mask, channels): the table's identity."""
+        digest = hashlib.sha256()
+        if self.grid is not None:
+            digest.update(self.grid.system.encode())
+            parts: list[NDArray[Any]] = list(self.grid.axes.values())
+        else:
+            parts = [self.wi, self.wo]
+        for part in [*parts, self.value, *([] if self.sigma is None else [self.sigma]), self.mask]:
+            digest.update(str(part.shape).encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        digest.update(repr(self.channels).encode())
+        return digest.hexdigest()
+
+    def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """Interpolated values (M, C) in 1/sr and (M,) flags: True where outside the measured domain.
+
+        How each kind of table is interpolated is defined in :mod:`fitter.sampling.interpolant`.
+        """
+        from fitter.sampling.interpolant import interpolant
+
+        return interpolant(self).evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
+
+
+def _columns(name: str, given: ArrayLike) -> FloatArray:
+    array = np.asarray(given, np.float64)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[1] == 0:
+        raise TableError(
+            f"{name} has shape {array.shape}, expected (N, C)", code="table-shape", parameter=name
+        )
+    return array
+
+
+def _channels(given: Sequence[str | Channel] | None, count: int) -> tuple[Channel, ...]:
+    if given is None:
+        names = {1: ["value"], 3: ["R", "G", "B"]}.get(count, [f"c{k}" for k in range(count)])
+        return tuple(Channel(name) for name in names)
+    channels = tuple(c if isinstance(c, Channel) else Channel(c) for c in given)
+    if len(channels) != count or len({c.name for c in channels}) != count:
+        raise TableError(
+            f"{len(channels)} channel names ({', '.join(c.name for c in channels)}) for {count} value columns",
+            code="table-channels", parameter="channels", remedy="give one distinct name per column",
+        )  # fmt: skip
+    return channels
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in counts.items())
