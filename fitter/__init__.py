@@ -16,10 +16,10 @@ from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
 from fitter.table import Channel, Grid, Metadata, Table
 
 if TYPE_CHECKING:
-    from fitter import models
+    from fitter import models, posterior
     from fitter.compression import CompressedTable, compress
     from fitter.fitting import FitResult, fit, load_fit
-    from fitter.posterior import Posterior, posterior
+    from fitter.posterior import Posterior
     from fitter.sampling import Samples, TableSampler
 
 __all__ = [
@@ -32,14 +32,14 @@ __all__ = [
 _LAZY = {
     "CompressedTable": "fitter.compression", "compress": "fitter.compression",
     "FitResult": "fitter.fitting", "fit": "fitter.fitting", "load_fit": "fitter.fitting",
-    "Posterior": "fitter.posterior", "posterior": "fitter.posterior",
+    "Posterior": "fitter.posterior",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
 }  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name == "models":
-        return importlib.import_module("fitter.models")
+    if name in ("models", "posterior"):  # the room fitter.posterior is itself callable, see there
+        return importlib.import_module(f"fitter.{name}")
     if name in _LAZY:
         found = getattr(importlib.import_module(_LAZY[name]), name)
         globals()[name] = found

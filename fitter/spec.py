@@ -24,7 +24,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "fresnel": ("schlick", "none"),
     },
     "lafortune": {},
-    "oren_nayar": {"variant": ("qualitative", "full")},
+    "oren_nayar": {"variant": ("qualitative",)},
 }
 MAX_LOBES: Mapping[str, int] = {"lafortune": 3}
 

@@ -1,0 +1,38 @@
+"""JAX as the numerics need it: 64-bit types, and compiled programs kept between processes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jax
+
+from fitter.errors import FitError
+
+
+def enable_x64() -> None:
+    """Turn on float64 in JAX. Raises FitError where the host program forbids it.
+
+    Fits and posteriors are meaningless in float32 (an optimiser stops at chi2/dof 1000 and reports
+    success), so there is no fallback.
+    """
+    if os.environ.get("JAX_ENABLE_X64", "").lower() in ("0", "false", "off"):
+        raise FitError(
+            "JAX's 64-bit mode is switched off by JAX_ENABLE_X64, and the fitter needs it",
+            code="x64-forbidden", remedy="unset JAX_ENABLE_X64 or set it to 1",
+        )  # fmt: skip
+    jax.config.update("jax_enable_x64", True)
+
+
+def use_compilation_cache(folder: Path) -> None:
+    """Keep compiled programs in ``folder`` between processes (half a second a model saved)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def default_cache_folder() -> Path:
+    """``$XDG_CACHE_HOME/brdf-fitter/xla`` or its usual place below the home folder."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "brdf-fitter" / "xla"

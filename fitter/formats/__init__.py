@@ -1,0 +1,1 @@
+load = load_all = None  # replaced by the formats room

@@ -1,0 +1,97 @@
+"""Reflectance models: one file per family, and the parts they share."""
+
+from __future__ import annotations
+
+from fitter._jax import enable_x64
+
+enable_x64()
+
+from collections.abc import Mapping, Sequence  # noqa: E402
+from typing import Any  # noqa: E402
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from jax.typing import ArrayLike  # noqa: E402
+
+from fitter.errors import SpecError  # noqa: E402
+from fitter.models.base import ReflectanceModel  # noqa: E402
+from fitter.models.lafortune import Lafortune  # noqa: E402
+from fitter.models.oren_nayar import OrenNayar  # noqa: E402
+from fitter.models.parameters import Parameter  # noqa: E402
+from fitter.models.torrance_sparrow import TorranceSparrow  # noqa: E402
+from fitter.models.ward import Ward  # noqa: E402
+from fitter.spec import FAMILIES, ModelSpec, model_spec  # noqa: E402
+
+__all__ = [
+    "FAMILIES", "Parameter", "ReflectanceModel", "create", "family_of", "from_dict", "parameter_table",
+]  # fmt: skip
+
+
+def family_of(spec: ModelSpec) -> type[ReflectanceModel]:
+    """The class of a specification's family."""
+    kinds: dict[str, type[ReflectanceModel]] = {
+        kind.family: kind for kind in (Ward, TorranceSparrow, Lafortune, OrenNayar)
+    }
+    return kinds[spec.family]
+
+
+def parameter_table(model: ModelSpec | str) -> tuple[Parameter, ...]:
+    """The parameters of a model, linear ones first."""
+    spec = model_spec(model)
+    return family_of(spec).parameter_table(spec)
+
+
+def create(
+    model: ModelSpec | str, *, channels: Sequence[str] | None = None, **values: ArrayLike
+) -> ReflectanceModel:
+    """A model from parameter values, scalars or one per channel; those left out take their default.
+
+    >>> create("ward", kd=[0.1, 0.2, 0.3], ks=0.05, alpha=0.1).channels
+    ('R', 'G', 'B')
+
+    Raises SpecError naming the parameter when it is unknown, not finite, outside its bounds, or of a
+    length that does not fit the channels.
+    """
+    spec = model_spec(model)
+    table = parameter_table(spec)
+    known = {p.name for p in table}
+    for name in values:
+        if name not in known:
+            raise SpecError(
+                f"{spec.name} has no parameter {name!r}", code="unknown-parameter", parameter=name,
+                remedy=f"its parameters are {', '.join(p.name for p in table)}",
+            )  # fmt: skip
+    arrays = {p.name: np.asarray(values.get(p.name, p.default), np.float64) for p in table}
+    lengths = {array.size for array in arrays.values() if array.ndim} | ({len(channels)} if channels else set())
+    if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
+        raise SpecError(
+            f"parameters of different lengths ({sorted(lengths)})", code="bad-parameter-shape",
+            remedy="give scalars, or one value per channel",
+        )  # fmt: skip
+    count = next(iter(lengths), 1)
+    if channels is None:
+        channels = {1: ("value",), 3: ("R", "G", "B")}.get(count, tuple(f"c{k}" for k in range(count)))
+    filled: dict[str, Any] = {}
+    for p in table:
+        array = arrays[p.name]
+        if not np.isfinite(array).all() or (array < p.lower).any() or (array > p.upper).any():
+            raise SpecError(
+                f"{p.name} = {array.tolist()} is outside [{p.lower:g}, {p.upper:g}]",
+                code="parameter-out-of-bounds", parameter=p.name,
+                remedy=f"{p.name} is {p.description}, unit {p.unit}",
+            )  # fmt: skip
+        filled[p.name] = jnp.asarray(np.broadcast_to(array, (count,)) if p.linear else array)
+    return family_of(spec)(spec=spec, channels=tuple(channels), values=filled)
+
+
+def from_dict(document: Mapping[str, Any]) -> ReflectanceModel:
+    """The model that :meth:`ReflectanceModel.to_dict` wrote. Raises SpecError on anything else."""
+    try:
+        spec, channels, values = document["spec"], document["channels"], document["values"]
+        given = {str(name): np.asarray(value, np.float64) for name, value in values.items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SpecError(
+            f"this is not a model document ({error!r})", code="bad-model-document",
+            remedy="it needs spec, channels and values, as `fit --json` prints under model",
+        ) from error  # fmt: skip
+    return create(model_spec(spec), channels=tuple(channels), **given)

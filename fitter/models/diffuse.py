@@ -1,0 +1,28 @@
+"""The additive Lambertian term and the parameters most families share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+
+from fitter.models.parameters import Parameter
+from fitter.spec import ModelSpec
+
+KD = Parameter("kd", "1", 0.0, math.inf, 0.3, "diffuse albedo of the Lambertian term kd/pi", linear=True)
+KS = Parameter("ks", "1", 0.0, math.inf, 0.1, "scale of the specular term", linear=True)
+
+
+def with_diffuse(spec: ModelSpec, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """``parameters`` behind kd, where the specification has the diffuse term."""
+    return (KD, *parameters) if spec.diffuse == "lambert" else tuple(parameters)
+
+
+def masked_terms(spec: ModelSpec, above: Array, lobes: Sequence[Array]) -> tuple[Array, ...]:
+    """The terms of a family: 1/pi where it has the diffuse term, then ``lobes``; 0 below the horizon."""
+    terms = tuple(lobes)
+    if spec.diffuse == "lambert":
+        terms = (jnp.full_like(terms[0], 1 / math.pi), *terms)
+    return tuple(jnp.where(above, term, 0.0) for term in terms)
