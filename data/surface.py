@@ -14,6 +14,8 @@ IntArray = NDArray[np.int64]
 BLOCK = 16_384
 #: Compact a block when fewer than this share of its rays are still under way.
 COMPACT_BELOW = 0.75
+#: Least size of a direction's x and y components.
+VERTICAL = 1e-12
 
 
 def normals(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
@@ -68,9 +70,10 @@ class HeightField:
         ----------
         correlation : (Tx, Ty) correlation lengths in cells.
         rms_slope : root mean square of the facets' slope dz/dy; along x it comes out Ty/Tx times that.
-        skew : the heights are mapped h -> h + skew (h^2 - 1) (h in units of their standard deviation)
-            before scaling: flattened valleys and sharp peaks where positive, and slopes with heavier tails
-            than any Gaussian surface has. |skew| < 0.5 or so keeps the map mostly monotone.
+        skew : the heights h (in units of their standard deviation) are mapped to (exp(skew h) - 1) / skew
+            before scaling. Slopes are then a Gaussian times a log-normal factor, with heavier tails than
+            any Gaussian surface has; negative values flatten the peaks and sharpen the valleys, as wear
+            and levelling do. 0 leaves the field Gaussian.
         """
         k = 2.0 * np.pi * np.fft.fftfreq(size)
         # The square root of the power spectrum of exp(-x^2/T^2) is proportional to exp(-k^2 T^2 / 8).
@@ -78,7 +81,8 @@ class HeightField:
         noise = np.fft.fft2(normals(rng, (size, size)))
         height = np.fft.ifft2(noise * filters[0][:, None] * filters[1][None, :]).real
         height = (height - height.mean()) / height.std()
-        height += skew * (height**2 - 1.0)
+        if skew:
+            height = np.expm1(skew * height) / skew
         slope = np.sqrt(np.mean((np.roll(height, -1, axis=1) - height) ** 2))
         return cls(height * (rms_slope / slope))
 
@@ -108,7 +112,7 @@ class HeightField:
 
         Parameters
         ----------
-        origin, direction : (3, N); directions need not be level with any axis, length is irrelevant.
+        origin, direction : (3, N); the length of a direction is irrelevant.
         gap : (N,) height of each origin above the surface, exactly 0 for rays that leave a facet.
 
         The ray is cut by the three families of lines that bound the triangles (x, y and x - y integer).
@@ -132,6 +136,8 @@ class HeightField:
         self, o: FloatArray, d: FloatArray, gap: FloatArray
     ) -> tuple[IntArray, FloatArray, FloatArray]:
         """(ray indices, ray parameter of the hit, ray parameter in the middle of its segment)."""
+        # A vertical ray cuts no line: lean it by less than rounding over any height there is.
+        d = np.stack([*np.where(np.abs(d[:2]) < VERTICAL, VERTICAL, d[:2]), d[2]])
         with np.errstate(divide="ignore", invalid="ignore"):
             starts = [_first_cut(o[0], d[0]), _first_cut(o[1], d[1]), _first_cut(o[0] - o[1], d[0] - d[1])]
         # One row per state variable, so that compaction is one indexing operation.

@@ -296,7 +296,8 @@ class Table:
         """(N,) True for every sample whose geometry an earlier sample has (scattered tables)."""
         if self.grid is not None:
             return np.zeros(len(self), bool)
-        key = np.round(np.concatenate([self.wi, self.wo], axis=1) / SAME_DIRECTION).astype(np.int64)
+        pair = np.nan_to_num(np.concatenate([self.wi, self.wo], axis=1), nan=2.0)  # no direction's component
+        key = np.round(pair / SAME_DIRECTION).astype(np.int64)
         _, first = np.unique(key, axis=0, return_index=True)
         repeated = np.ones(len(self), bool)
         repeated[first] = False

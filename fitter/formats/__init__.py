@@ -1,1 +1,14 @@
-load = load_all = None  # replaced by the formats room
+"""Reading and writing tables: one module per file format, chosen by content, never by file name."""
+
+from __future__ import annotations
+
+from fitter.formats.delimited_writer import write_delimited
+from fitter.formats.describe import describe
+from fitter.formats.loading import load, load_all
+from fitter.formats.read_options import CONVENTIONS, ReadOptions, read_options
+from fitter.formats.registry import Format, formats
+
+__all__ = [
+    "CONVENTIONS", "Format", "ReadOptions", "describe", "formats", "load", "load_all", "read_options",
+    "write_delimited",
+]  # fmt: skip

@@ -1,0 +1,23 @@
+# The HTTP service in a small image: docker build -t brdf-fitter . && docker run -p 8000:8000 -v brdf:/data brdf-fitter
+FROM python:3.11-slim AS build
+WORKDIR /src
+RUN python -m venv /opt/venv
+COPY requirements.lock ./
+RUN /opt/venv/bin/pip install --no-cache-dir --require-hashes -r requirements.lock
+COPY pyproject.toml README.md LICENSE ./
+COPY fitter fitter
+COPY api api
+COPY data data
+RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
+
+FROM python:3.11-slim
+RUN useradd --create-home --uid 10001 brdf && mkdir /data && chown brdf /data
+COPY --from=build /opt/venv /opt/venv
+USER brdf
+WORKDIR /home/brdf
+ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=30s --timeout=5s --start-period=30s --retries=3 \
+    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
+CMD ["brdf-fitter", "serve", "--host", "0.0.0.0", "--port", "8000", "--folder", "/data"]

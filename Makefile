@@ -1,0 +1,50 @@
+# What a person or a machine runs. Needs Python 3.11 or newer and make; the rest is set up in .venv.
+
+PYTHON ?= python3
+UV ?= uv
+# Test processes: one per core.
+WORKERS ?= auto
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test lint bench evidence serve lock clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+install: .venv/.installed ## set up .venv
+
+# requirements.lock holds every version with its hash, the build backend's too: nothing else is fetched.
+.venv/.installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: .venv/.installed ## fit a bundled table with all models and write demo/report.html
+	$(BIN)/brdf-fitter demo --out demo
+
+test: .venv/.installed ## run the tests
+	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+lint: .venv/.installed ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/basedpyright
+
+bench: .venv/.installed ## measure speed
+	$(BIN)/python -m tests.bench $(ARGS)
+
+evidence: .venv/.installed ## run the long studies behind the stated accuracy
+	$(BIN)/python -m tests.evidence $(ARGS)
+
+serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
+	$(BIN)/brdf-fitter serve $(ARGS)
+
+lock: ## resolve requirements.lock again (needs uv)
+	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+		--no-header pyproject.toml --group dev -o requirements.lock
+
+clean: ## remove everything that make has made
+	rm -rf .venv demo build dist .hypothesis .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""The HTTP service: adapters around :mod:`fitter`, nothing numerical."""

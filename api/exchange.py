@@ -1,0 +1,173 @@
+"""Exchange: arrays that come and go as JSON or, by content negotiation, as ``.npy``."""
+
+from __future__ import annotations
+
+import struct
+import tokenize
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Annotated, Any
+
+import numpy as np
+import orjson
+from fastapi import Depends, Request, Response
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from api.problems import Problem
+from fitter import directions
+from fitter.documents import dumps
+
+NPY = "application/x-npy"
+FloatArray = NDArray[np.float64]
+
+#: A direction's length may be off by this much (rounded decimals); it is then scaled to unit length.
+LENGTH_TOLERANCE = 0.01
+
+
+async def _body(request: Request) -> bytes:
+    return await request.body()
+
+
+Body = Annotated[bytes, Depends(_body)]
+
+
+def wants_npy(request: Request) -> bool:
+    """Whether the client accepts ``.npy`` and does not rank JSON before it."""
+    accepted = [part.split(";")[0].strip().lower() for part in request.headers.get("accept", "").split(",")]
+    return NPY in accepted and "application/json" not in accepted[: accepted.index(NPY)]
+
+
+def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, FloatArray]:
+    """``(wi, wo)``, each (M, 3): JSON ``{"wi": ..., "wo": ...}`` or an array (2, M, 3). One wi may serve all."""
+    if _is_npy(request):
+        both = _read_npy(body)
+        if both.ndim != 3 or both.shape[0] != 2:
+            raise _bad(f"the array has shape {both.shape}, expected (2, M, 3)", "body")
+        given: Mapping[str, Any] = {"wi": both[0], "wo": both[1]}
+    else:
+        given = _read_json(body, ("wi", "wo"))
+    wi, wo = checked(given["wi"], "wi", limit), checked(given["wo"], "wo", limit)
+    above_horizon(wi)
+    if len(wi) != len(wo) and 1 not in (len(wi), len(wo)):
+        raise _bad(f"{len(wi)} directions wi for {len(wo)} directions wo", "wi")
+    count = max(len(wi), len(wo))
+    return np.broadcast_to(wi, (count, 3)), np.broadcast_to(wo, (count, 3))
+
+
+def read_incidences(request: Request, body: bytes, limit: int) -> FloatArray:
+    """``wi`` (M, 3): JSON ``{"wi": ...}`` or an array (M, 3)."""
+    given = _read_npy(body) if _is_npy(request) else _read_json(body, ("wi",))["wi"]
+    wi = checked(given, "wi", limit)
+    above_horizon(wi)
+    return wi
+
+
+def checked(given: Any, name: str, limit: int) -> FloatArray:
+    """Finite unit vectors (M, 3) from what a client sent: one vector or a list of them."""
+    try:
+        array = np.asarray(given)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise _bad(f"{name} is not a list of [x, y, z]", name) from error
+    if array.dtype.kind not in "fiu" or array.ndim not in (1, 2) or array.shape[-1] != 3 or array.size == 0:
+        raise _bad(f"{name} is not a list of [x, y, z]", name)
+    w = array.astype(np.float64).reshape(-1, 3)
+    if len(w) > limit:
+        raise Problem.invalid(
+            "too-many-directions", f"{name} has {len(w)} directions, the limit is {limit}", parameter=name,
+            remedy="ask in several requests",
+        )  # fmt: skip
+    finite = np.isfinite(w).all(axis=1)
+    if not finite.all():
+        raise _bad(f"{name} {int(np.argmin(finite)) + 1} is not finite", name, int(np.argmin(finite)) + 1)
+    # Each component is compared first: the square of 1e200 is infinite.
+    unit = (np.abs(w) <= 2).all(axis=1)
+    square = np.einsum("ij,ij->i", np.where(unit[:, None], w, 0.0), np.where(unit[:, None], w, 0.0))
+    unit &= np.abs(np.sqrt(square) - 1) <= LENGTH_TOLERANCE
+    if not unit.all():
+        at = int(np.argmin(unit)) + 1
+        raise _bad(f"{name} {at} is not a unit vector", name, at)
+    # Exact input stays exactly what it is.
+    rounded = np.abs(square - 1) > 1e-12
+    return np.where(rounded[:, None], directions.unit(w), w)
+
+
+def above_horizon(wi: FloatArray) -> None:
+    """Raises Problem where light would come from below the surface."""
+    below = wi[:, 2] <= 0
+    if below.any():
+        at = int(np.argmax(below)) + 1
+        raise Problem.invalid(
+            "below-horizon", f"wi {at} is not above the horizon", parameter="wi", row=at,
+            remedy="directions point away from the surface: wi needs a positive z",
+        )  # fmt: skip
+
+
+def respond(
+    request: Request, document: Mapping[str, Any], array: NDArray[Any], headers: Mapping[str, str] | None = None
+) -> Response:
+    """``array`` as ``.npy`` where the client prefers that, else ``document`` as JSON."""
+    both = {"Vary": "Accept", **(headers or {})}
+    if not wants_npy(request):
+        return Response(dumps(document), media_type="application/json", headers=both)
+    buffer = BytesIO()
+    npy.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
+    return Response(buffer.getvalue(), media_type=NPY, headers=both)
+
+
+def _is_npy(request: Request) -> bool:
+    return request.headers.get("content-type", "").split(";")[0].strip().lower() == NPY
+
+
+def _read_json(body: bytes, names: tuple[str, ...]) -> Mapping[str, Any]:
+    try:
+        given = orjson.loads(body)
+    except orjson.JSONDecodeError as error:
+        raise Problem(400, "bad-json", f"the body is not JSON: {error.msg}", row=error.lineno) from error
+    if not isinstance(given, dict):
+        raise Problem.invalid("bad-request", "the body is not a JSON object")
+    for name in names:
+        if name not in given:
+            raise Problem.invalid("bad-request", f"{name} is missing", parameter=name)
+    for name in given:
+        if name not in names:
+            raise Problem.invalid(
+                "bad-request", f"there is no field {name[:64]!r}", parameter=name[:64],
+                remedy=f"the fields are {', '.join(names)}",
+            )  # fmt: skip
+    return given
+
+
+def _read_npy(body: bytes) -> NDArray[Any]:
+    # The header is read apart, so that the size it claims is compared with the bytes that came.
+    stream = BytesIO(body)
+    try:
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, fortran, dtype = read(stream)
+    except (
+        ValueError, TypeError, KeyError, SyntaxError, RecursionError, MemoryError, OverflowError, EOFError,
+        struct.error, tokenize.TokenError,
+    ) as error:  # fmt: skip
+        raise Problem(400, "bad-npy", "the body is not an .npy array") from error
+    rest = len(body) - stream.tell()
+    if dtype.kind != "f" or any(n < 0 for n in shape) or _product(shape) * dtype.itemsize != rest:
+        raise Problem(
+            400, "bad-npy", f"the array claims to be {dtype} {shape}, its {rest} bytes are not",
+            remedy="send float64 or float32 with numpy.save",
+        )  # fmt: skip
+    return np.frombuffer(body, dtype, offset=stream.tell()).reshape(shape, order="F" if fortran else "C")
+
+
+def _product(shape: tuple[int, ...]) -> int:
+    total = 1
+    for n in shape:  # Python's integers don't overflow
+        total *= n
+    return total
+
+
+def _bad(detail: str, name: str, row: int | None = None) -> Problem:
+    return Problem.invalid(
+        "bad-directions", detail, parameter=name, row=row,
+        remedy="give finite unit vectors [x, y, z] that point away from the surface",
+    )  # fmt: skip

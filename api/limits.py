@@ -1,0 +1,63 @@
+"""Limits: request bodies are cut where they pass the limit, while they stream."""
+
+from __future__ import annotations
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.metrics import Metrics
+from api.problems import Problem
+from api.settings import Settings
+
+#: What multipart framing may add to a file.
+FRAMING = 64 << 10
+
+
+class BodyLimit:
+    """Middleware that raises 413 out of the reading of a body that is, or says it is, too long."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._settings = settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        uploading = scope["path"] == "/v1/tables"
+        limit = self._settings.max_upload_bytes if uploading else self._settings.max_body_bytes
+        bound = limit + FRAMING if uploading else limit
+        claimed = dict(scope["headers"]).get(b"content-length", b"0")
+        seen = 0
+
+        async def counted() -> Message:
+            nonlocal seen
+            if claimed.isdigit() and int(claimed) > bound:
+                raise Problem.too_large(limit)
+            message = await receive()
+            if message["type"] == "http.request":
+                seen += len(message.get("body", b""))
+                if seen > bound:
+                    raise Problem.too_large(limit)
+            return message
+
+        await self._app(scope, counted, send)
+
+
+class Counted:
+    """Middleware that counts answers."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def noted(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                metrics: Metrics = scope["app"].state.service.metrics
+                metrics.request(scope["method"], message["status"])
+            await send(message)
+
+        await self._app(scope, receive, noted)

@@ -1,0 +1,39 @@
+"""Results: one JSON document a fit or posterior, in files named by the row's id."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fitter.documents import read_document, write_bytes, write_document
+
+
+class Results:
+    """A folder of result documents and of the reports made from them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "results"
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, id: str, document: Mapping[str, Any]) -> None:
+        """Write aside and rename."""
+        write_document(document, self._path(id))
+
+    def read(self, id: str) -> dict[str, Any]:
+        return dict(read_document(self._path(id), "result-missing"))
+
+    def drop(self, id: str) -> None:
+        """Delete a document that no row came to name."""
+        self._path(id).unlink(missing_ok=True)
+
+    def report(self, id: str, kind: str) -> bytes | None:
+        """A report made before, None if there is none."""
+        path = self._folder / f"{id}.report.{kind}"
+        return path.read_bytes() if path.exists() else None
+
+    def write_report(self, id: str, kind: str, content: bytes) -> None:
+        write_bytes(content, self._folder / f"{id}.report.{kind}")
+
+    def _path(self, id: str) -> Path:
+        return self._folder / f"{id}.json"

@@ -1,0 +1,42 @@
+"""Settings: where the service keeps its data, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What one server is told when it starts.
+
+    folder : the data folder; blobs, results, the default database and the compilation cache live in it.
+    database_url : any SQLAlchemy URL; None is SQLite in the data folder.
+    workers : threads that run jobs.
+    max_upload_bytes, max_body_bytes : of one uploaded table, and of any other request's body.
+    max_pairs : direction pairs in one evaluation.
+    max_albedo_directions : directions in one albedo request (each is a quadrature of its own).
+    max_draws : draws in one request for samples.
+    max_queue : jobs that may wait; more are refused with 429.
+    max_attempts : times a job is started before it is given up, when the server dies under it.
+    cached_tables : parsed tables kept in memory.
+    grace_seconds : how long a stopping server waits for its jobs to reach a safe point.
+    """
+
+    folder: Path
+    database_url: str | None = None
+    workers: int = 2
+    max_upload_bytes: int = 256 << 20
+    max_body_bytes: int = 64 << 20
+    max_pairs: int = 1_000_000
+    max_albedo_directions: int = 1000
+    max_draws: int = 1_000_000
+    max_queue: int = 1000
+    max_attempts: int = 3
+    cached_tables: int = 4
+    grace_seconds: float = 10.0
+
+    @property
+    def url(self) -> str:
+        """The database's URL."""
+        return self.database_url or f"sqlite:///{self.folder.resolve() / 'service.sqlite'}"

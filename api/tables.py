@@ -1,0 +1,74 @@
+"""Parsed tables: from a row and its blob, the latest few kept in memory."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import orjson
+
+import fitter
+from api.blobs import Blobs
+from api.rows import TableRow
+from fitter.errors import TableError
+from fitter.formats.read_options import read_options
+
+if TYPE_CHECKING:
+    from fitter.sampling import TableSampler
+
+
+def parse(path: Path, options: dict[str, Any]) -> fitter.Table:
+    """The table in a blob. Raises TableError or SpecError as :func:`fitter.load` does.
+
+    The bytes are given, not the path: a blob's name on the disk means nothing to who uploaded it.
+    """
+    chosen = read_options(options)
+    try:
+        return fitter.load(path.read_bytes(), **chosen.to_dict())
+    except TableError as error:
+        error.file = error.file or chosen.name or "the upload"
+        raise
+
+
+class Opened:
+    """A parsed table, and its sampler once somebody drew from it."""
+
+    def __init__(self, table: fitter.Table) -> None:
+        self.table = table
+        self._lock = threading.Lock()
+        self._sampler: TableSampler | None = None
+
+    @property
+    def sampler(self) -> TableSampler:
+        with self._lock:
+            if self._sampler is None:
+                self._sampler = fitter.TableSampler(self.table)
+            return self._sampler
+
+
+class OpenTables:
+    """The ``count`` most recently used parsed tables."""
+
+    def __init__(self, blobs: Blobs, count: int) -> None:
+        self._blobs = blobs
+        self._count = count
+        self._kept: OrderedDict[bytes, Opened] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def open(self, row: TableRow) -> Opened:
+        """The table of a row, parsed again only when it has left the memory."""
+        key = orjson.dumps([row.sha256, row.options], option=orjson.OPT_SORT_KEYS)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        opened = Opened(parse(self._blobs.path(row.sha256), row.options))
+        with self._lock:
+            # Two requests may have parsed at once: the first one's table, with its sampler, stays.
+            opened = self._kept.setdefault(key, opened)
+            self._kept.move_to_end(key)
+            while len(self._kept) > self._count:
+                self._kept.popitem(last=False)
+        return opened

@@ -1,0 +1,107 @@
+"""Work: what each kind of job does, from its row to result rows that wait to be published."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import fitter
+from api.problems import Problem, of_fitter_error
+from api.results import Results
+from api.rows import JobRow, ModelRow, PosteriorRow, Row, TableRow
+from api.store import Store, new_id
+from api.tables import OpenTables
+from fitter.errors import FitterError
+from fitter.progress import Cancelled, Progress
+from fitter.spec import fit_spec, posterior_spec
+
+if TYPE_CHECKING:
+    from fitter.fitting import FitResult
+
+
+@dataclass
+class Outcome:
+    """What a job made: rows to publish, and its ``results`` as the job document lists them.
+
+    ``problem`` is set where nothing came of it. Files named by the rows' ids are on the disk already.
+    """
+
+    rows: list[Row] = field(default_factory=list[Row])
+    results: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    problem: dict[str, Any] | None = None
+
+
+class Worker:
+    """Runs jobs. Holds what they read from and write to."""
+
+    def __init__(self, store: Store, results: Results, tables: OpenTables) -> None:
+        self._store = store
+        self._results = results
+        self._tables = tables
+
+    def run(self, job: JobRow, progress: Progress) -> Outcome:
+        """Do the job. Raises Cancelled, FitterError, or Problem where what it needs is gone."""
+        row = self._store.get(TableRow, job.table_id)
+        if row is None:
+            raise Problem.not_found("table", job.table_id)
+        table = self._tables.open(row).table
+        return {"fit": self._fit, "posterior": self._posterior}[job.kind](job, table, progress)
+
+    def discard(self, outcome: Outcome) -> None:
+        """Delete the files of an outcome that was not published."""
+        for row in outcome.rows:
+            self._results.drop(row.id)
+
+    def _fit(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        specs = [fit_spec(one) for one in job.request["specs"]]
+        outcome = Outcome()
+        for k, spec in enumerate(specs):
+            name = spec.model.name
+
+            def step(share: float, what: str, k: int = k, name: str = name) -> None:
+                progress((k + share) / len(specs), f"{name}: {what}")
+
+            try:
+                fit = fitter.fit(table, spec, progress=step)
+            except Cancelled:
+                raise
+            except FitterError as error:
+                # One model that can't be fitted says why; the others are still worth having.
+                problem = of_fitter_error(error)
+                outcome.results.append({"kind": "fit", "model": name, "problem": problem})
+                outcome.problem = outcome.problem or problem
+                continue
+            outcome.results.append(self._keep_fit(job, fit, outcome))
+        if outcome.rows:
+            outcome.problem = None
+        return outcome
+
+    def _keep_fit(self, job: JobRow, fit: FitResult, outcome: Outcome) -> dict[str, Any]:
+        id, document = new_id(), fit.to_dict()
+        self._results.write(id, document)
+        summary = {
+            "status": fit.status, "message": fit.message, "metrics": document["metrics"], "seconds": fit.seconds,
+        }  # fmt: skip
+        outcome.rows.append(
+            ModelRow(
+                id=id, created=time.time(), origin="fit", name=fit.spec.model.name, document=document["model"],
+                table_id=job.table_id, job_id=job.id, summary=summary,
+            )
+        )  # fmt: skip
+        return {"kind": "fit", "model": fit.spec.model.name, "id": id, "status": fit.status}
+
+    def _posterior(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        from fitter.fitting import FitResult
+
+        fit_id = str(job.request["fit"])
+        fit = FitResult.from_dict(self._results.read(fit_id))
+        posterior = fitter.posterior(table, fit, posterior_spec(job.request["spec"]), progress=progress)
+        id = new_id()
+        self._results.write(id, posterior.to_dict())
+        summary = {"status": posterior.status, "message": posterior.message, "seconds": posterior.seconds}
+        row = PosteriorRow(
+            id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary
+        )
+        result = {"kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status}
+        return Outcome([row], [result])

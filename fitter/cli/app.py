@@ -1,0 +1,148 @@
+"""The command itself: finds the verb, runs it, and turns its end into output and an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from fitter import __version__
+from fitter.cli.screen import WHEN, Screen
+from fitter.cli.verb import CALL_WRONG, DONE, INTERRUPTED, PIPE_CLOSED, WORK_FAILED, Verb
+from fitter.errors import FitError, FitterError, SpecError
+
+#: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
+VERBS = (
+    "info", "fit", "posterior", "compress", "decompress", "sample", "models",
+)
+_VERBS = (
+    "info", "fit", "posterior", "report", "compress", "decompress", "sample", "models", "datasets", "serve",
+    "demo",
+)  # fmt: skip
+
+
+def _wide(prog: str) -> argparse.HelpFormatter:
+    return argparse.HelpFormatter(prog, max_help_position=16)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose mistakes are SpecErrors, and whose epilog is made only when the help is shown."""
+
+    verb: Verb | None = None
+
+    def error(self, message: str) -> NoReturn:
+        raise SpecError(message, code="bad-call", remedy=f"see `{self.prog} --help`")
+
+    def format_help(self) -> str:
+        if self.verb is not None and self.verb.epilog is not None:
+            self.epilog = self.verb.epilog()
+        return super().format_help()
+
+
+def verb(name: str) -> Verb:
+    """The verb of that name."""
+    found = importlib.import_module(f"fitter.cli.verbs.{name}").VERB
+    assert isinstance(found, Verb)
+    return found
+
+
+def parser(chosen: str | None = None) -> argparse.ArgumentParser:
+    """The command's parser. Only the ``chosen`` verb gets its arguments: help has to be instant."""
+    top = _Parser(
+        prog="brdf-fitter",
+        description="Fit reflectance models to measured BRDF tables, with uncertainties.",
+        epilog="`brdf-fitter VERB --help` explains a verb. Exit status: 0 done, 1 the work failed, "
+        "2 the call or the input was wrong, 130 interrupted.",
+        allow_abbrev=False, formatter_class=_wide,
+    )  # fmt: skip
+    top.add_argument("--version", action="version", version=f"brdf-fitter {__version__}")
+    verbs: Any = top.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=_Parser)
+    for name in VERBS:
+        found = verb(name)
+        sub: _Parser = verbs.add_parser(
+            name, help=found.summary, description=f"{found.summary[0].upper()}{found.summary[1:]}.",
+            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+        )  # fmt: skip
+        sub.verb = found
+        if name != chosen:
+            continue
+        found.configure(sub)
+        sub.add_argument(
+            "--json", action="store_true", help="print one JSON document on standard output and nothing else"
+        )
+        sub.add_argument(
+            "--progress", choices=WHEN, default="auto",
+            help="progress bars on standard error (default: where it is a terminal)",
+        )  # fmt: skip
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    # The call itself may be what is wrong, and a program that asked for JSON still wants it then.
+    screen = Screen(json="--json" in words)
+    try:
+        chosen = next((word for word in words if not word.startswith("-")), None)
+        options = parser(chosen).parse_args(words)
+        screen = Screen(json=options.json, progress=options.progress)
+        # Whatever a library prints must not get between the document's bytes.
+        with contextlib.redirect_stdout(sys.stderr):
+            outcome = verb(options.verb).run(options, screen)
+        if outcome is None:
+            return DONE
+        if screen.json:
+            screen.document(outcome.document)
+        else:
+            outcome.show(screen)
+        screen.stdout.flush()
+        return outcome.status
+    except SystemExit as end:  # --help and --version
+        return end.code if isinstance(end.code, int) else DONE
+    except BrokenPipeError:
+        return _pipe_closed(screen)
+    except KeyboardInterrupt:
+        screen.note("interrupted")
+        return INTERRUPTED
+    except Exception as error:
+        return _failed(error, screen)
+
+
+def _failed(error: Exception, screen: Screen) -> int:
+    """Say what went wrong: for a person on standard error, for a program on standard output."""
+    status = WORK_FAILED
+    if isinstance(error, FitterError):
+        known = error
+        status = WORK_FAILED if isinstance(error, FitError) else CALL_WRONG
+    elif isinstance(error, MemoryError):
+        known = FitError("there is not enough memory", code="out-of-memory", remedy="fit a smaller --subset")
+    elif isinstance(error, OSError):
+        file = error.filename if isinstance(error.filename, str) else None
+        known = FitError(f"the system said: {error.strerror or error}", code="system-error", file=file)
+    else:
+        traceback.print_exception(error, file=screen.stderr)
+        known = FitError(
+            f"{type(error).__name__}: {error}", code="internal-error",
+            cause="a mistake in this program, not in your data",
+            remedy="please report it with the lines above",
+        )  # fmt: skip
+    screen.note(f"error: {known}")
+    if screen.json:
+        try:
+            screen.document({"error": known.to_dict()})
+        except BrokenPipeError:
+            return _pipe_closed(screen)
+    return status
+
+
+def _pipe_closed(screen: Screen) -> int:
+    """Whoever read our output has gone: stop as quietly as a program that SIGPIPE ends."""
+    with contextlib.suppress(OSError, ValueError):
+        # The interpreter flushes standard output once more as it leaves; let that go nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), screen.stdout.fileno())
+    return PIPE_CLOSED

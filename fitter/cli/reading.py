@@ -1,0 +1,133 @@
+"""Reading tables: the options that every verb shares, and finding a result's table again."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fitter.cli.values import pair
+from fitter.errors import SpecError, TableError
+
+if TYPE_CHECKING:
+    from fitter.formats import ReadOptions
+    from fitter.table import Table
+
+READING = "reading options (what a file can't say about itself)"
+
+
+def add_reading_options(parser: argparse.ArgumentParser) -> None:
+    """``--quantity`` and the other options of :func:`fitter.load`."""
+    from fitter.formats import CONVENTIONS
+    from fitter.table import QUANTITIES
+
+    group = parser.add_argument_group(READING)
+    group.add_argument("--quantity", choices=QUANTITIES, help="what the values are")
+    group.add_argument(
+        "--convention", choices=tuple(CONVENTIONS), metavar="NAME",
+        help="; ".join(f"{name}: {meaning}" for name, meaning in CONVENTIONS.items()),
+    )  # fmt: skip
+    group.add_argument("--item", help="which table of a file that holds several: its name, or its position from 0")
+    group.add_argument(
+        "--column", type=pair, action="append", default=[], metavar="NAME=MEANING",
+        help="what a column of a text table means, as thetai=theta_i_deg or 5=brdf_R; NAME is a header's name "
+        "or a position from 0 (repeatable)",
+    )  # fmt: skip
+    group.add_argument("--negatives", choices=("mask", "keep"), help="negative values: mask (default) or keep")
+    group.add_argument("--duplicates", choices=("mask", "keep"), help="repeated geometries: mask (default) or keep")
+
+
+def reading_options(given: argparse.Namespace) -> ReadOptions:
+    """The options that :func:`add_reading_options` added. Raises SpecError."""
+    from fitter.formats import read_options
+
+    names = ("quantity", "convention", "item", "negatives", "duplicates")
+    chosen: dict[str, Any] = {name: getattr(given, name) for name in names}
+    if given.column:
+        chosen["columns"] = dict(given.column)
+    return read_options(chosen)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A table and where it came from, so that a result can say it."""
+
+    table: Table
+    source: Mapping[str, Any]
+
+
+def open_table(path: str | Path, options: ReadOptions) -> Opened:
+    """The one table at ``path``: any format, or a container that ``compress`` wrote."""
+    from fitter.formats import load
+
+    source = {"path": str(Path(path).resolve()), "options": options.to_dict()}
+    if is_container(path):
+        if options.to_dict():
+            raise SpecError(
+                "a compressed table takes no reading options", code="bad-option", file=str(path),
+                remedy="leave them out: they were given when it was compressed",
+            )  # fmt: skip
+        return Opened(open_container(path).decompress(), source)
+    return Opened(load(path, **options.to_dict()), source)
+
+
+def is_container(path: str | Path) -> bool:
+    """Whether ``path`` holds a compressed table, by its first bytes."""
+    from fitter.compression.container import MAGIC
+
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except (OSError, ValueError):
+        return False  # whoever reads it as a table says what is wrong with it
+
+
+def open_container(path: str | Path) -> Any:
+    """The compressed table at ``path``. Raises TableError, also where it can't be read at all."""
+    from fitter.compression import CompressedTable
+
+    try:
+        return CompressedTable.load(path)
+    except OSError as error:
+        raise TableError(
+            f"the file can't be read: {error.strerror}", code="file-unreadable", file=str(path),
+            remedy="check the path",
+        ) from error  # fmt: skip
+
+
+def table_of(
+    described: Mapping[str, Any], given: str | None, options: ReadOptions, *, result: str | Path
+) -> Opened:
+    """The table that a result was made from: the one given, else the one the result remembers.
+
+    Raises SpecError where it is another table than the result's.
+    """
+    from fitter.formats import read_options
+
+    source = described.get("source")
+    remembered = source if isinstance(source, dict) else {}
+    path: str | None = given or remembered.get("path")
+    if path is None:
+        raise SpecError(
+            "the result does not say which file its table came from", code="table-unknown", file=str(result),
+            parameter="table", remedy="name it with --table",
+        )  # fmt: skip
+    if not options.to_dict():
+        # The same file read the same way, also where it has moved.
+        options = read_options(remembered.get("options") or {})
+    if given is None and not Path(path).exists():
+        raise SpecError(
+            f"the table that this result was made from is not there: {path}", code="table-missing",
+            file=str(result), parameter="table", cause="it was moved or deleted",
+            remedy="name it with --table",
+        )  # fmt: skip
+    opened = open_table(path, options)
+    if opened.table.hash != described.get("hash"):
+        raise SpecError(
+            f"{path} is not the table that this result was made from", code="table-differs", file=str(result),
+            parameter="table", cause="the file has changed since, or was read with other options",
+            remedy="fit the table again, or name the right one with --table",
+        )  # fmt: skip
+    return opened

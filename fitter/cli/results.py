@@ -1,0 +1,87 @@
+"""Results as the command writes, reads and shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fitter.cli.screen import Screen, number
+from fitter.errors import SpecError
+
+if TYPE_CHECKING:
+    from fitter.fitting import FitResult
+
+FITS = "brdf-fitter/fits"
+
+
+def remember(result: FitResult, source: Mapping[str, Any]) -> FitResult:
+    """The result, knowing which file its table came from and how that was read."""
+    return replace(result, table={**result.table, "source": dict(source)})
+
+
+def file_name(model: str) -> str:
+    """The file a model's result is written to: ":" is no character for file names."""
+    return f"{model.replace(':', '-')}.json"
+
+
+def load_results(path: str | Path) -> list[FitResult]:
+    """The fits in a file that ``fit --out`` wrote or ``fit --json`` printed: one, or several."""
+    from fitter.documents import read_document
+    from fitter.fitting import FitResult
+
+    document = read_document(Path(path), "not-a-fit")
+    parts = document.get("fits") if document.get("kind") == FITS else [document]
+    if not isinstance(parts, list) or not parts:
+        raise SpecError("there is no fit in it", code="not-a-fit", file=str(path))
+    try:
+        return [FitResult.from_dict(part) for part in parts]
+    except SpecError as error:
+        error.file = error.file or str(path)
+        raise
+
+
+def load_result(path: str | Path, model: str | None = None) -> FitResult:
+    """The one fit in a file, or the one of ``model`` where it holds several."""
+    from fitter.spec import ModelSpec
+
+    results = load_results(path)
+    if model is not None:
+        wanted = ModelSpec.parse(model).name
+        results = [result for result in results if result.spec.model.name == wanted]
+    if len(results) == 1:
+        return results[0]
+    names = ", ".join(result.spec.model.name for result in load_results(path))
+    raise SpecError(
+        f"the file holds fits of {names}, and one is needed", code="which-fit", file=str(path), parameter="model",
+        remedy="name one with --model",
+    )  # fmt: skip
+
+
+def show_fit(result: FitResult, screen: Screen) -> None:
+    """The fitted parameters with their standard uncertainties, and how good and dear the fit was."""
+    channels = result.model.channels
+    screen.line(f"{result.spec.model.name}: {result.status.replace('_', ' ')} in {result.seconds:.2f} s")
+    if result.status != "converged":
+        screen.line(f"  {result.message}")
+    metrics = ", ".join(f"{name.replace('_', ' ')} {number(value)}" for name, value in result.metrics.items())
+    screen.line(f"  {metrics}")
+    rows: list[list[str]] = []
+    for name, estimate in result.parameters.items():
+        values, spreads = estimate.value.reshape(-1), estimate.standard_uncertainty.reshape(-1)
+        for k, (value, spread) in enumerate(zip(values.tolist(), spreads.tolist(), strict=True)):
+            channel = channels[k] if estimate.value.ndim else ""
+            bound = estimate.at_bound[k] if k < len(estimate.at_bound) else None
+            rows.append(
+                [
+                    f"{name}[{channel}]" if channel else name,
+                    number(value),
+                    "-" if spread != spread else number(spread, 2),
+                    estimate.unit,
+                    (f"at its {bound} bound; " if bound else "") + estimate.description,
+                ]
+            )
+    screen.table(("parameter", "estimate", "u (k=1)", "unit", ""), rows)
+    for warning in result.warnings:
+        screen.line(f"  warning: {warning}")

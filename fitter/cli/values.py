@@ -1,0 +1,67 @@
+"""Values of options: texts that hold a name and numbers, and folders and files to write to."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from fitter.errors import SpecError
+
+
+def pair(text: str) -> tuple[str, str]:
+    """``NAME=VALUE``."""
+    name, equals, value = text.partition("=")
+    if not equals or not name or not value:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return name, value
+
+
+def named_number(text: str) -> tuple[str, float]:
+    """``NAME=NUMBER``."""
+    name, value = pair(text)
+    return name, _number(value, text)
+
+
+def named_range(text: str) -> tuple[str, tuple[float, float]]:
+    """``NAME=LOW,HIGH``."""
+    name, value = pair(text)
+    low, comma, high = value.partition(",")
+    if not comma:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=LOW,HIGH")
+    return name, (_number(low, text), _number(high, text))
+
+
+def _number(value: str, text: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: {value!r} is not a number") from None
+
+
+def output_folder(text: str) -> Path:
+    """A folder that can be written to; made now, because work that can't be kept should not begin."""
+    folder = Path(text)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error.strerror or str(error)) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise _unwritable(folder, "permission denied")
+    return folder
+
+
+def output_file(text: str) -> Path:
+    """A file that can be written; its folder is made now, the file when there is something to write."""
+    path = Path(text)
+    if path.is_dir():
+        raise _unwritable(path, "it is a folder, and a file is needed")
+    output_folder(str(path.parent))
+    return path
+
+
+def _unwritable(path: Path, reason: str) -> SpecError:
+    return SpecError(
+        f"can't be written: {reason}", code="out-not-writable", file=str(path), parameter="out",
+        remedy="choose another --out",
+    )  # fmt: skip

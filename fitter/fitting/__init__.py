@@ -1,0 +1,8 @@
+"""Fitting: metric x solver -> FitResult."""
+
+from __future__ import annotations
+
+from fitter.fitting.engine import fit
+from fitter.fitting.result import Estimate, FitResult, load_fit
+
+__all__ = ["Estimate", "FitResult", "fit", "load_fit"]

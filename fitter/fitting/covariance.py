@@ -1,0 +1,113 @@
+"""Covariance of the estimates: the curvature where the metric is the likelihood, the sandwich elsewhere.
+
+Sandwich (Huber 1967, White 1980): H^-1 (sum of score outer products) H^-1, scores summed over the
+channels of a sample first, since the channels of one sample share its errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter.fitting.layout import Layout
+from fitter.fitting.polish import Normal, bounds
+
+FloatArray = NDArray[np.float64]
+#: A direction whose scaled curvature is below this share of the largest is not identified.
+SINGULAR = 1e-10
+
+
+@dataclass(frozen=True)
+class Natural:
+    """The estimates in the parameters' own units.
+
+    labels : flat, "ks[1]" with the channel's position; a bare name when shared.
+    values, at_bound : (Q,). covariance : (Q, Q), NaN where none is stated. unidentified : labels whose
+    values the data leave open.
+    """
+
+    labels: tuple[tuple[str, int | None], ...]
+    values: FloatArray
+    covariance: FloatArray
+    at_bound: tuple[str | None, ...]
+    unidentified: tuple[int, ...]
+
+
+def natural(layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[int], samples: int) -> Natural:
+    """Estimates and covariance of one group from the vector p and its normal equations.
+
+    ``normal.scores`` empty means that the metric is the likelihood.
+    """
+    t, c = len(layout.free), len(channels)
+    family, spec = layout.family, layout.spec
+    table = {q.name: q for q in family.parameter_table(spec)}
+    linear = [q.name for q in table.values() if q.linear]
+    shared = c > 1
+    labels: list[tuple[str, int | None]] = [
+        *((name, channel) for name in linear for channel in channels),
+        *((name, None if shared else channels[0]) for name in layout.free),
+    ]
+
+    def to_natural(vector: Array) -> Array:
+        u, b = vector[:t], vector[t:].reshape(-1, c)
+        found = family.linear_from(spec, list(b))
+        nonlinear = layout.nonlinear(u)
+        parts = [found[name] for name in linear] + [nonlinear[name][None] for name in layout.free]
+        return jnp.concatenate(parts)
+
+    values = np.asarray(to_natural(jnp.asarray(p)))
+    jacobian = np.asarray(jax.jacfwd(to_natural)(jnp.asarray(p)))
+    lower, upper = bounds(layout, len(p))
+    reach = 1e-9 * (1.0 + np.abs(p))
+    free = (p > lower + reach) & (p < upper - reach)
+    cov, open_directions = _inverse(normal, free, samples)
+    spread = jacobian @ cov @ jacobian.T
+    at_bound: list[str | None] = []
+    for (name, _), value in zip(labels, values, strict=True):
+        k = layout.free.index(name) if name in layout.free else None
+        q = table[name]
+        low, high = (q.lower, q.upper) if k is None else _own_bounds(layout, k)
+        span = (high - low) if np.isfinite(high) else max(abs(low), 1.0)
+        near = 1e-6 * span
+        at_bound.append("lower" if value <= low + min(near, 1e-9) else "upper" if value >= high - near else None)
+    # A parameter is open if any of the directions that the data leave open moves it.
+    moved = np.abs(jacobian @ open_directions)
+    size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300
+    unidentified = [k for k in range(len(labels)) if (moved[k] > 1e-3 * size[k]).any()]
+    for k, bound in enumerate(at_bound):
+        if bound is not None or k in unidentified:
+            spread[k, :] = spread[:, k] = np.nan
+    return Natural(tuple(labels), values, spread, tuple(at_bound), tuple(unidentified))
+
+
+def _inverse(normal: Normal, free: NDArray[np.bool_], samples: int) -> tuple[FloatArray, FloatArray]:
+    """Covariance (P, P) of the vector, zero for what sits on a bound, and the open directions (P, m)."""
+    size = len(free)
+    cov = np.zeros((size, size))
+    where = np.flatnonzero(free)
+    matrix = normal.matrix[np.ix_(where, where)]
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+    flat = scale <= 0
+    scale = np.where(flat, 1.0, scale)
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    weak = values < SINGULAR * max(values.max(initial=0.0), 1e-300)
+    pseudo = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
+    if normal.scores.size:
+        meat = normal.scores[np.ix_(where, where)] * (samples / max(1, samples - len(where)))
+        pseudo = pseudo @ meat @ pseudo
+    cov[np.ix_(where, where)] = pseudo
+    directions = np.zeros((size, int(weak.sum())))
+    directions[where] = vectors[:, weak] / scale[:, None]
+    lengths = np.linalg.norm(directions, axis=0)
+    return cov, directions / np.where(lengths > 0, lengths, 1.0)
+
+
+def _own_bounds(layout: Layout, k: int) -> tuple[float, float]:
+    low, high = layout.lower[k], layout.upper[k]
+    return (float(np.exp(low)), float(np.exp(high))) if layout.logs[k] else (low, high)

@@ -1,0 +1,73 @@
+"""Metrics: what "close" means. Each is a transform T and a weight, named, apart from models and solvers.
+
+The objective is the sum over usable samples and channels of w^2 (T(s f) - T(s y))^2, f the model, y the
+measurement:
+
+    measurement  w = 1/u(y)      T(x) = x          the likelihood where the table states its noise
+    absolute     w = 1           T(x) = x          plain least squares in 1/sr
+    cosine       w = 1, s = cos_i, T(x) = x        error of the reflected radiance (Ngan et al. 2005's L2
+                                                   without the solid-angle weights)
+    log          w = 1           T(x) = ln(x + e)  relative error; e = 1e-3 of the median value
+    cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter.errors import SpecError
+from fitter.spec import Metric
+
+FloatArray = NDArray[np.float64]
+#: Share of the median value that is added under the logarithm, and below which a slope is not followed.
+LOG_FLOOR = 1e-3
+QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
+
+
+class Residual(NamedTuple):
+    """T(s f) - T(s y) and its slope in f, each of the shape of f."""
+
+    value: Array
+    slope: Array
+
+
+def base_weights(metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray) -> FloatArray:
+    """(n, C) w s of each value: all that does not depend on the model."""
+    if metric == "measurement":
+        if sigma is None:
+            raise SpecError(
+                "the metric 'measurement' weights by 1/u, and the table states no standard uncertainty",
+                code="metric-needs-sigma", parameter="metric",
+                remedy="give sigma with the table, or use cosine, absolute, log or cbrt",
+            )  # fmt: skip
+        return 1.0 / sigma
+    if metric in ("cosine", "cbrt"):
+        return np.broadcast_to(cos_i[:, None], value.shape)
+    return np.ones_like(value)
+
+
+def residual(metric: Metric, f: Array, y: Array, weight: Array, floor: Array) -> Residual:
+    """The residual of a metric. ``floor`` is the value scale per channel, LOG_FLOOR x median."""
+    if metric in QUADRATIC:
+        return Residual(weight * (f - y), jnp.broadcast_to(weight, jnp.shape(f)))
+    if metric == "log":
+        # Below -floor a value has no logarithm; the engine leaves such samples out and says so.
+        shifted = jnp.maximum(f, 0.0) + floor
+        return Residual(jnp.log(shifted / jnp.maximum(y + floor, 1e-300)) * weight, weight / shifted)
+    # The cube root's slope is infinite at 0: follow it no closer to 0 than the floor. Only the path to
+    # the optimum depends on this, the objective does not.
+    value = jnp.cbrt(weight * f) - jnp.cbrt(weight * y)
+    root = jnp.cbrt(weight * jnp.maximum(f, floor))
+    return Residual(value, weight / (3.0 * jnp.maximum(root * root, 1e-300)))
+
+
+def linearised_weight(metric: Metric, y: Array, weight: Array, floor: Array) -> Array:
+    """Weight of the quadratic objective that the metric is near its optimum: the slope at f = y."""
+    if metric in QUADRATIC:
+        return weight
+    return residual(metric, jnp.maximum(y, floor), y, weight, floor).slope

@@ -1,0 +1,172 @@
+"""The usable samples of a table as blocks of component arrays, whole or a weighted subset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter.errors import FitError, SpecError
+from fitter.fitting import metrics
+from fitter.spec import Metric, Select
+from fitter.table import Table
+
+FloatArray = NDArray[np.float64]
+BLOCK = 65_536
+SMALLEST_BLOCK = 1_024
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples padded to one of few lengths, so that few programs are compiled; padding has weight 0.
+
+    pair : (6, B) components of wi and wo. y, weight : (B, C). count : samples that are not padding.
+    """
+
+    pair: Array
+    y: Array
+    weight: Array
+    count: int
+
+
+@dataclass(frozen=True)
+class Usable:
+    """What a fit uses of a table: arrays over its n usable, selected samples.
+
+    pair : (6, n). value, weight : (n, C), weight w s of the metric. floor : (C,) of the metric.
+    channels : positions in the table. left_out : counts by reason of usable samples not used.
+    """
+
+    pair: FloatArray
+    value: FloatArray
+    sigma: FloatArray | None
+    weight: FloatArray
+    floor: FloatArray
+    channels: tuple[int, ...]
+    left_out: dict[str, int]
+
+    def __len__(self) -> int:
+        return self.pair.shape[1]
+
+    def blocks(self, channels: Sequence[int], index: NDArray[np.intp] | None = None, scale: FloatArray | None = None) -> list[Block]:
+        """Blocks of the channels (positions among the selected), of the samples ``index`` (default all).
+
+        ``scale`` (n,) multiplies the squared residuals of the samples of a weighted subset.
+        """
+        found: list[Block] = []
+        total = len(self) if index is None else len(index)
+        picked = list(channels)
+        # Basic slices of whole columns are views; a list of channels would copy the table.
+        columns: slice | list[int] = slice(None) if picked == list(range(self.value.shape[1])) else picked
+        for start in range(0, total, BLOCK):
+            rows: slice | NDArray[np.intp] = slice(start, min(start + BLOCK, total))
+            count = rows.stop - rows.start
+            size = max(SMALLEST_BLOCK, 1 << (count - 1).bit_length()) if count < BLOCK else BLOCK
+            if index is not None:
+                rows = index[rows]
+            weight = self.weight[rows][:, columns]
+            if scale is not None:
+                weight = weight * np.sqrt(scale[start : start + count])[:, None]
+            found.append(
+                Block(
+                    pair=jnp.asarray(_padded(self.pair[:, rows].T, size, edge=True).T),
+                    y=jnp.asarray(_padded(self.value[rows][:, columns], size)),
+                    weight=jnp.asarray(_padded(weight, size)),
+                    count=count,
+                )
+            )
+        return found
+
+    def subset(self, size: int, seed: int) -> tuple[NDArray[np.intp], FloatArray]:
+        """Indices and weights of a systematic sample, half uniform, half by weighted squared value.
+
+        Systematic sampling with probability proportional to size: a sample taken k times with
+        inclusion probability m p stands for k/(m p) samples.
+        """
+        n = len(self)
+        if n <= size:
+            return np.arange(n), np.ones(n)
+        energy = np.square(self.weight * self.value).sum(axis=1)
+        # No sample counts for more than 100 times its share: glints must not fill the subset.
+        energy = np.minimum(energy, 100 * energy.mean())
+        p = 0.5 / n + 0.5 * energy / max(energy.sum(), 1e-300)
+        p /= p.sum()
+        offset = np.random.default_rng(seed).random()
+        picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, n - 1)
+        index, times = np.unique(picked, return_counts=True)
+        return index, times / (size * p[index])
+
+
+def usable(table: Table, metric: Metric, select: Select) -> Usable:
+    """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError."""
+    names = [c.name for c in table.channels]
+    for name in select.channels or ():
+        if name not in names:
+            raise SpecError(
+                f"the table has no channel {name!r}", code="unknown-channel", parameter="select.channels",
+                remedy=f"its channels are {', '.join(names)}",
+            )  # fmt: skip
+    channels = tuple(names.index(n) for n in select.channels) if select.channels else tuple(range(len(names)))
+    index = np.flatnonzero(table.mask)
+    wi, wo = table.directions(index)
+    left_out: dict[str, int] = {}
+    keep = np.ones(len(index), bool)
+    for name, w, limit in (
+        ("theta_i", wi, select.theta_i_max_deg),
+        ("theta_o", wo, select.theta_o_max_deg),
+    ):
+        if limit is not None:
+            inside = w[:, 2] >= np.cos(np.deg2rad(limit)) - 1e-12
+            left_out[f"{name} beyond {limit:g} deg"] = int((keep & ~inside).sum())
+            keep &= inside
+    whole = len(channels) == len(names)
+    value = table.value[index] if whole else table.value[np.ix_(index, channels)]
+    sigma = None
+    if table.sigma is not None:
+        sigma = table.sigma[index] if whole else table.sigma[np.ix_(index, channels)]
+    floor = np.array([_scale(column) for column in value.T]) * metrics.LOG_FLOOR
+    if metric == "log":
+        defined = (value > -floor).all(axis=1)
+        left_out["no logarithm"] = int((keep & ~defined).sum())
+        keep &= defined
+    if not keep.all():
+        wi, wo, value = wi[keep], wo[keep], value[keep]
+        sigma = None if sigma is None else sigma[keep]
+    if len(value) == 0:
+        raise FitError(
+            "no usable sample is left to fit", code="nothing-to-fit",
+            cause=", ".join(f"{n} {why}" for why, n in left_out.items()) or "all samples are masked",
+            remedy="widen the selection, or choose a metric that the values allow",
+        )  # fmt: skip
+    if not np.any(value):
+        raise FitError(
+            "all values are zero", code="nothing-to-fit", cause="a table of fill values",
+            remedy="check the value columns",
+        )  # fmt: skip
+    return Usable(
+        pair=np.concatenate([wi.T, wo.T]),
+        value=value,
+        sigma=sigma,
+        weight=metrics.base_weights(metric, value, sigma, wi[:, 2]),
+        floor=floor,
+        channels=channels,
+        left_out={why: n for why, n in left_out.items() if n},
+    )
+
+
+def _scale(column: FloatArray) -> float:
+    """A typical magnitude: the median |value|, or the mean where most are zero."""
+    magnitude = np.abs(column)
+    return float(np.median(magnitude)) or float(magnitude.mean()) or 1.0
+
+
+def _padded(array: FloatArray, size: int, edge: bool = False) -> FloatArray:
+    """(size, m) with rows of zeros, or of the last row, behind those of ``array``."""
+    missing = size - len(array)
+    if not missing:
+        return np.ascontiguousarray(array)
+    return np.pad(array, ((0, missing), (0, 0)), mode="edge" if edge else "constant")

@@ -1,0 +1,177 @@
+"""ALTA text: "#KEY value" lines that declare the parametrisation, then rows of inputs and outputs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.formats import geometry as geo
+from fitter.formats.assemble import QUANTITY_REMEDY, Reading, assemble
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.registry import Format
+from fitter.formats.source import Source
+from fitter.formats.text import Rows
+from fitter.table import Channel, Quantity, Table
+
+FloatArray = NDArray[np.float64]
+
+NAME = "alta"
+CONVENTIONS = ("phi_specular_180", "phi_specular_0")
+_KEY = re.compile(r"#\s*([A-Z][A-Z_0-9]*)(?:\s+(.*))?")
+_QUANTITIES: dict[str, Quantity] = {"INV_STERADIAN": "brdf", "INV_STERADIAN_COSINE_FACTOR": "ccbrdf"}
+
+
+def sniff(head: bytes, size: int) -> float:
+    """Sure of a text with a #PARAM_IN line; #DIM alone is enough to be asked."""
+    if re.search(rb"(?:^|[\r\n])#[ \t]*PARAM_IN[ \t]", head):
+        return 0.95
+    return 0.6 if re.search(rb"(?:^|[\r\n])#[ \t]*DIM[ \t]+\d", head) else 0.0
+
+
+def read(source: Source, options: ReadOptions) -> list[Table]:
+    """The table of an ALTA text file. ``quantity`` overrides what #PARAM_OUT says."""
+    keys, rows_of = _keys(source)
+    inputs, outputs = _dimensions(source, keys, rows_of)
+    how = keys.get("PARAM_IN", "")
+    if how not in _PARAMETRISATIONS:
+        raise source.error(
+            f"the parametrisation {how[:60] or '(none given)'} is not read", "table-parametrisation",
+            row=rows_of.get("PARAM_IN"), column="PARAM_IN",
+            remedy=f"convert the file in ALTA to one of {', '.join(_PARAMETRISATIONS)}",
+        )  # fmt: skip
+    names, geometry_of = _PARAMETRISATIONS[how]
+    if len(names) != inputs:
+        raise source.error(
+            f"#DIM gives {inputs} inputs, {how} has {len(names)}", "table-header", row=rows_of["DIM"],
+            column="DIM", cause="a damaged header", remedy="correct #DIM or #PARAM_IN",
+        )  # fmt: skip
+    quantity, notes = _quantity(source, keys, rows_of, options)
+    if how == "RUSIN_TH_TD_PD" and quantity == "ccbrdf":
+        raise source.error(
+            "RUSIN_TH_TD_PD does not say which direction the cosine belongs to", "table-parametrisation",
+            row=rows_of["PARAM_IN"], column="PARAM_IN", remedy="convert the values to INV_STERADIAN",
+        )  # fmt: skip
+    numbered = [
+        (n, line)
+        for n, line in enumerate(source.lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered:
+        raise source.error(
+            "the file has a header but no rows", "table-empty", row=len(source.lines),
+            cause="the file is cut off", remedy="fetch the file again",
+        )  # fmt: skip
+    channels = _channels(keys, outputs)
+    rows = Rows(
+        source, [line for _, line in numbered], np.asarray([n for n, _ in numbered], np.intp), None,
+        [*names, *(c.name for c in channels)],
+    )  # fmt: skip
+    numbers = rows.floats(range(inputs + outputs))
+    geometry = geometry_of(source, options, rows, numbers[:, :inputs])
+    reading = Reading(
+        NAME, quantity, np.ascontiguousarray(numbers[:, inputs:]), channels,
+        name=keys.get("SAMPLE", "").strip('"'), provenance=dict(keys), notes=tuple(notes),
+    )  # fmt: skip
+    return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
+
+
+FORMAT = Format(NAME, "ALTA text with a declared parametrisation", CONVENTIONS, sniff, read)
+
+
+def _keys(source: Source) -> tuple[dict[str, str], dict[str, int]]:
+    keys: dict[str, str] = {}
+    rows_of: dict[str, int] = {}
+    for number, line in enumerate(source.lines, start=1):
+        match = _KEY.fullmatch(line.strip())
+        if match:
+            keys[match[1]], rows_of[match[1]] = (match[2] or "").strip(), number
+    if keys.get("FORMAT", "").startswith("binary"):
+        raise source.error(
+            "this is ALTA's binary form", "table-unknown-format", row=rows_of["FORMAT"],
+            remedy="save it as text from ALTA",
+        )  # fmt: skip
+    return keys, rows_of
+
+
+def _dimensions(source: Source, keys: dict[str, str], rows_of: dict[str, int]) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,3})\s+(\d{1,3})", keys.get("DIM", ""))
+    if not match or int(match[1]) == 0 or int(match[2]) == 0:
+        raise source.error(
+            f"#DIM is {keys.get('DIM', '')[:40]!r}, not two counts", "table-header", row=rows_of.get("DIM"),
+            column="DIM", cause="a damaged header", remedy="write #DIM and the numbers of inputs and outputs",
+        )  # fmt: skip
+    if keys.get("VS", "0").split() not in ([], ["0"], ["0"] * int(match[2])):
+        raise source.error(
+            f"#VS is {keys['VS'][:40]!r}: confidence intervals in the rows are not read", "table-header",
+            row=rows_of["VS"], column="VS", remedy="save the file without them (#VS 0)",
+        )  # fmt: skip
+    return int(match[1]), int(match[2])
+
+
+def _quantity(
+    source: Source, keys: dict[str, str], rows_of: dict[str, int], options: ReadOptions
+) -> tuple[Quantity, list[str]]:
+    stated = keys.get("PARAM_OUT", "")
+    known = _QUANTITIES.get(stated)
+    if options.quantity is not None:
+        conflict = known is not None and known != options.quantity
+        return options.quantity, [
+            f"The file says {stated}; its values were read as {options.quantity}."
+        ] * conflict
+    if known is not None:
+        return known, []
+    raise source.error(
+        f"#PARAM_OUT is {stated[:40]}, which does not say whether the cosine is in the values" if stated
+        else "the file has no #PARAM_OUT, so it does not say what its values are",
+        "table-quantity", row=rows_of.get("PARAM_OUT"), parameter="quantity", remedy=QUANTITY_REMEDY,
+    )  # fmt: skip
+
+
+def _channels(keys: dict[str, str], outputs: int) -> list[Channel]:
+    if outputs == 1:
+        return [Channel("value")]
+    names = "RGB" if keys.get("PARAM_OUT") == "RGB_COLOR" or outputs == 3 else ""
+    return [Channel(names[k] if outputs == 3 else f"c{k}") for k in range(outputs)]
+
+
+def _angles(roles: tuple[str, ...]) -> Callable[[Source, ReadOptions, Rows, FloatArray], geo.Geometry]:
+    def place(source: Source, options: ReadOptions, rows: Rows, inputs: FloatArray) -> geo.Geometry:
+        angles = dict(zip(roles, inputs.T, strict=True))
+        names = dict(zip(roles, rows.names, strict=False))
+        turned = geo.to_radians(source, angles, dict.fromkeys(roles, "rad"), names, rows.numbers)
+        if roles[0] == "theta_h":
+            return geo.from_half_difference(turned)
+        return geo.from_angles(source, turned, options.convention)
+
+    return place
+
+
+def _projected(source: Source, options: ReadOptions, rows: Rows, inputs: FloatArray) -> geo.Geometry:
+    """theta_l, theta_v cos(dphi), theta_v sin(dphi): dphi = 0 is the side of the light."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        theta_o, dphi = np.hypot(inputs[:, 1], inputs[:, 2]), np.arctan2(inputs[:, 2], inputs[:, 1])
+    angles = {"theta_i": inputs[:, 0], "theta_o": theta_o, "dphi": dphi}
+    names = {"theta_i": rows.names[0], "theta_o": f"{rows.names[1]}, {rows.names[2]}", "dphi": rows.names[2]}
+    turned = geo.to_radians(source, angles, dict.fromkeys(angles, "rad"), names, rows.numbers)
+    return geo.from_angles(source, turned, options.convention)
+
+
+def _cartesian(source: Source, options: ReadOptions, rows: Rows, inputs: FloatArray) -> geo.Geometry:
+    """View vector first, then light vector."""
+    return geo.from_vectors(
+        source, inputs[:, 3:], inputs[:, :3], rows.numbers, (rows.names[3], rows.names[0])
+    )
+
+
+_PARAMETRISATIONS: dict[
+    str, tuple[tuple[str, ...], Callable[[Source, ReadOptions, Rows, FloatArray], geo.Geometry]]
+] = {
+    "ISOTROPIC_TL_TV_PROJ_DPHI": (("theta_l", "theta_v cos(dphi)", "theta_v sin(dphi)"), _projected),
+    "ISOTROPIC_TL_TV_DPHI": (("theta_l", "theta_v", "dphi"), _angles(("theta_i", "theta_o", "dphi"))),
+    "ISOTROPIC_TV_TL_DPHI": (("theta_v", "theta_l", "dphi"), _angles(("theta_o", "theta_i", "dphi"))),
+    "RUSIN_TH_TD_PD": (("theta_h", "theta_d", "phi_d"), _angles(("theta_h", "theta_d", "phi_d"))),
+    "CARTESIAN": (("view x", "view y", "view z", "light x", "light y", "light z"), _cartesian),
+}  # fmt: skip

@@ -1,0 +1,134 @@
+"""Assembly: geometry and values as a file holds them to a Table in 1/sr, without the cosine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.errors import TableError
+from fitter.formats.geometry import Geometry
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.source import Source
+from fitter.table import Channel, Grid, Metadata, Quantity, Symmetry, Table
+
+FloatArray = NDArray[np.float64]
+
+QUANTITY_REMEDY = (
+    "say which it is with quantity='brdf' (1/sr, no cosine), 'ccbrdf' (brdf times cos theta_o) or "
+    "'reflectance_factor' (pi times brdf)"
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a reader found out about one table, before conversion.
+
+    value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None.
+    statements : what the file says beside the samples (scale_uncertainty, aperture, ...; radians).
+    """
+
+    source_format: str
+    quantity: Quantity
+    value: FloatArray
+    channels: Sequence[Channel]
+    sigma: FloatArray | None = None
+    usable: NDArray[np.bool_] | None = None
+    symmetry: Symmetry | None = None
+    name: str = ""
+    item: str | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    statements: Mapping[str, float] = field(default_factory=dict[str, float])
+    notes: tuple[str, ...] = ()
+
+
+def assemble(
+    source: Source,
+    options: ReadOptions,
+    reading: Reading,
+    geometry: Geometry,
+    grid: tuple[Grid, NDArray[np.intp]] | None = None,
+) -> Table:
+    """The Table of a reading: values converted to f_r, rows put in the grid's order where there is one.
+
+    Raises TableError, with the file's name, where nothing is usable.
+    """
+    notes = [*reading.notes, *geometry.notes]
+    cos_o = geometry.wo[:, 2]
+    value = to_brdf(reading.value, reading.quantity, cos_o)
+    sigma = None if reading.sigma is None else to_brdf(reading.sigma, reading.quantity, cos_o)
+    if reading.quantity == "ccbrdf" and (cos_o == 0).any():
+        notes.append(
+            f"{int((cos_o == 0).sum())} rows lie on the horizon, where a cosine-weighted value gives no "
+            "BRDF: they count as missing."
+        )
+    one = _common_incidence(geometry)
+    if len(value) == 1:
+        notes.append("The table holds one sample: no model can be told from another by it.")
+    elif one:
+        notes.append("The table holds one incidence only: what it says about others is extrapolated.")
+    usable = reading.usable
+    if grid is not None:
+        order = grid[1]
+        value = value[order]
+        sigma = None if sigma is None else sigma[order]
+        usable = None if usable is None else usable[order]
+    directions = {} if grid is not None else {"wi": geometry.wi, "wo": geometry.wo}
+    return build(
+        source, options, reading, geometry.convention, notes, value=value, sigma=sigma, mask=usable,
+        grid=None if grid is None else grid[0], symmetric=geometry.symmetric, **directions,
+    )  # fmt: skip
+
+
+def build(
+    source: Source,
+    options: ReadOptions,
+    reading: Reading,
+    convention: str,
+    notes: Sequence[str],
+    *,
+    symmetric: bool,
+    **arrays: Any,
+) -> Table:
+    """A Table of converted ``arrays`` with the metadata of ``reading``; its errors name the file."""
+    provenance = dict(reading.provenance)
+    if source.name:
+        provenance["file"] = source.name
+    if reading.item is not None:
+        provenance["item"] = reading.item
+    name = options.name or reading.name or source.stem or reading.source_format
+    metadata = Metadata(
+        name=f"{name} [{reading.item}]" if reading.item is not None else name,
+        source_format=reading.source_format, quantity=reading.quantity, convention=convention,
+        sha256=source.sha256, scale_uncertainty=reading.statements.get("scale_uncertainty"),
+        angle_uncertainty=reading.statements.get("angle_uncertainty"),
+        aperture=reading.statements.get("aperture"), provenance=provenance, notes=tuple(notes),
+    )  # fmt: skip
+    try:
+        return Table(
+            channels=reading.channels, symmetry=reading.symmetry or ("isotropic" if symmetric else None),
+            metadata=metadata, negatives=options.negatives, duplicates=options.duplicates, **arrays,
+        )  # fmt: skip
+    except TableError as error:
+        error.file = source.name
+        raise
+
+
+def to_brdf(value: FloatArray, quantity: Quantity, cos_o: FloatArray) -> FloatArray:
+    """f_r in 1/sr of values (n, C) in ``quantity`` at cos theta_o (n,); NaN where the cosine is 0."""
+    if quantity == "brdf":
+        return value
+    if quantity == "reflectance_factor":
+        return value / np.pi
+    cosine = np.abs(np.where(cos_o == 0, np.nan, cos_o))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return value / cosine[:, None]
+
+
+def _common_incidence(geometry: Geometry) -> bool:
+    z = geometry.wi[:, 2] if geometry.symmetric else geometry.wi
+    z = z[np.isfinite(geometry.wi).all(axis=1)]
+    return len(z) > 0 and float(np.ptp(z, axis=0).max()) < 1e-6

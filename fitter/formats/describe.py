@@ -1,0 +1,112 @@
+"""Description of a table: what was read, how, and where its peaks are, for people and for JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.table import Table
+
+#: Half-widths (radians) within which a sample counts as in the plane and at an incidence.
+_IN_PLANE, _AT_INCIDENCE = np.deg2rad(1.5), np.deg2rad(1.0)
+_INCIDENCES_SHOWN = 8
+
+
+def describe(table: Table) -> dict[str, Any]:
+    """JSON-ready facts: format, quantity, channels, counts, grid, domain (deg), values (1/sr), peaks."""
+    meta = table.metadata
+    usable = table.value[table.mask]
+    return {
+        "name": meta.name,
+        "format": meta.source_format,
+        "quantity": meta.quantity,
+        "convention": meta.convention,
+        "symmetry": table.symmetry,
+        "samples": len(table),
+        "usable": int(table.mask.sum()),
+        "masked": dict(meta.masked),
+        "channels": [
+            {
+                "name": channel.name,
+                "wavelength_nm": channel.wavelength_nm,
+                "min_per_sr": float(column.min()),
+                "median_per_sr": float(np.median(column)),
+                "max_per_sr": float(column.max()),
+            }
+            for channel, column in zip(table.channels, usable.T, strict=True)
+        ],
+        "sigma": table.sigma is not None,
+        "grid": _grid(table),
+        "domain": table.domain.to_dict(),
+        "peaks": in_plane_peaks(table),
+        "scale_uncertainty": meta.scale_uncertainty,
+        "angle_uncertainty_deg": _degrees(meta.angle_uncertainty),
+        "aperture_deg": _degrees(meta.aperture),
+        "hash": table.hash,
+        "sha256": meta.sha256,
+        "provenance": dict(meta.provenance),
+        "notes": list(meta.notes),
+    }
+
+
+def in_plane_peaks(table: Table) -> list[dict[str, Any]]:
+    """Where the largest in-plane values sit, for up to eight incidences away from the normal.
+
+    Each entry has ``theta_i_deg`` and, for the ``specular_side`` and the ``retro_side``, the ``theta_o_deg``
+    of the largest value (mean of the channels, 1/sr), or None where nothing was measured on that side. A
+    specular peak belongs at theta_o near theta_i on the specular side, a retro-reflector's on the other.
+    """
+    index = _candidates(table)
+    wi, wo = table.directions(index)
+    theta_i, phi_i = directions.spherical_from_vector(wi)
+    theta_o, phi_o = directions.spherical_from_vector(wo)
+    turn = np.abs(np.mod(phi_o - phi_i + np.pi, 2 * np.pi) - np.pi)
+    normal = theta_o < 1e-3
+    sides = {"specular_side": normal | (np.pi - turn < _IN_PLANE), "retro_side": normal | (turn < _IN_PLANE)}
+    level = table.value[index].mean(axis=1)
+    tilted = (theta_i > np.deg2rad(2.0)) & (sides["specular_side"] | sides["retro_side"])
+    found = np.unique(np.round(np.rad2deg(theta_i[tilted])))
+    if len(found) > _INCIDENCES_SHOWN:
+        found = found[np.unique(np.linspace(0, len(found) - 1, _INCIDENCES_SHOWN).round().astype(int))]
+    peaks: list[dict[str, Any]] = []
+    for incidence in np.deg2rad(found):
+        near = np.abs(theta_i - incidence) <= _AT_INCIDENCE / 2
+        entry: dict[str, Any] = {"theta_i_deg": float(np.rad2deg(np.mean(theta_i[near & tilted])))}
+        for side, here in sides.items():
+            at = np.flatnonzero(near & here)
+            best = at[np.argmax(level[at])] if len(at) else None
+            entry[side] = None if best is None else {
+                "theta_o_deg": float(np.rad2deg(theta_o[best])), "value_per_sr": float(level[best])
+            }  # fmt: skip
+        peaks.append(entry)
+    return peaks
+
+
+def _candidates(table: Table) -> NDArray[np.intp]:
+    """Usable samples that can be in plane: of a half-difference grid, those of the fitting phi_d."""
+    if table.grid is None or table.grid.system != "half_difference":
+        return np.flatnonzero(table.mask)
+    axis = table.grid.axes["phi_d"]
+    off = np.abs(np.mod(axis + np.pi / 2, np.pi) - np.pi / 2)
+    keep = off <= off.min() + 1e-9
+    return np.flatnonzero(table.mask.reshape(table.grid.shape) & keep)
+
+
+def _grid(table: Table) -> dict[str, Any] | None:
+    if table.grid is None:
+        return None
+    return {
+        "system": table.grid.system,
+        "shape": list(table.grid.shape),
+        "axes_deg": {
+            name: [float(np.rad2deg(axis[0])), float(np.rad2deg(axis[-1]))]
+            for name, axis in table.grid.axes.items()
+        },
+    }
+
+
+def _degrees(angle: float | None) -> float | None:
+    return None if angle is None else float(np.rad2deg(angle))

@@ -1,0 +1,250 @@
+"""Geometry of a text table: declared angles or vectors to the internal frame, checked for plausibility."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.formats.source import Source
+from fitter.table import GRID_AXES, Grid
+
+FloatArray = NDArray[np.float64]
+
+#: Within this of the horizon (in cos theta) a direction is taken to be on it: 90 deg written to 6 digits.
+HORIZON = 1e-6
+#: Fewer rows or distinct polar angles than this are no evidence of a wrong unit.
+_EVIDENCE_ROWS, _EVIDENCE_ANGLES = 20, 5
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Directions of every row, and how they were read.
+
+    wi, wo : (n, 3). coordinates : system of ``GRID_AXES`` -> its (n,) coordinates, for the systems the
+    rows can be expressed in, the natural one first. symmetric : whether the incident azimuth never varies.
+    """
+
+    wi: FloatArray
+    wo: FloatArray
+    convention: str
+    notes: tuple[str, ...] = ()
+    coordinates: Mapping[str, tuple[FloatArray, ...]] = field(
+        default_factory=dict[str, tuple[FloatArray, ...]]
+    )
+    symmetric: bool = False
+
+
+def to_radians(
+    source: Source,
+    angles: Mapping[str, FloatArray],
+    units: Mapping[str, str],
+    names: Mapping[str, str],
+    rows: NDArray[np.intp],
+) -> dict[str, FloatArray]:
+    """Angle columns (role -> (n,)) in radians, not finite ones as NaN.
+
+    Raises TableError for angles no direction has, and where the values plainly are in the other unit.
+    """
+    turned: dict[str, FloatArray] = {}
+    finite = {role: a[np.isfinite(a)] for role, a in angles.items()}
+    for role, angle in angles.items():
+        degrees = units[role] == "deg"
+        polar = role.startswith("theta")
+        largest = (180.0 if polar else 720.0) if degrees else (np.pi if polar else 4 * np.pi) + 1e-6
+        magnitude = np.abs(np.where(np.isfinite(angle), angle, 0.0))
+        wrong = magnitude > largest
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            in_degrees = not degrees and finite[role].size > 0 and magnitude.max() <= 720
+            raise source.error(
+                f"{names[role]} is {angle[k]:g} {units[role]}, which no direction has", "table-angle-range",
+                row=int(rows[k]), column=names[role],
+                cause="the angles are in degrees" if in_degrees else "a wrong column or unit",
+                remedy=f"declare the column as {role}_{'deg' if in_degrees else 'rad'} or mend the value",
+            )  # fmt: skip
+        turned[role] = np.where(np.isfinite(angle), np.deg2rad(angle) if degrees else angle, np.nan)
+    _refuse_radians(source, finite, units, names)
+    return turned
+
+
+def _refuse_radians(
+    source: Source, finite: Mapping[str, FloatArray], units: Mapping[str, str], names: Mapping[str, str]
+) -> None:
+    polar = [role for role in finite if role.startswith("theta")]
+    if not polar or any(units[role] != "deg" for role in finite):
+        return
+    values = np.concatenate([finite[role] for role in polar])
+    azimuths = np.concatenate([np.empty(0), *(finite[role] for role in finite if role not in polar)])
+    small = values.size > 0 and np.abs(values).max() <= 1.6 and (np.abs(azimuths) <= 6.3).all()
+    if small and values.size >= _EVIDENCE_ROWS * len(polar) and len(np.unique(values)) >= _EVIDENCE_ANGLES:
+        raise source.error(
+            f"all polar angles are within {np.abs(values).max():.3g} deg of the normal", "table-angle-unit",
+            column=", ".join(names[role] for role in polar), cause="the angles are in radians",
+            remedy="declare the columns as _rad (if they really are so small, convert them to radians first)",
+        )  # fmt: skip
+
+
+def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: str | None) -> Geometry:
+    """Geometry from polar angles and azimuths (role -> (n,) radians) under a declared convention.
+
+    A negative polar angle is the opposite side: (theta, phi) is (-theta, phi + pi). One absent
+    azimuth is 0 when the other varies; with none, ``convention`` must name the side.
+    """
+    theta_i, theta_o = angles["theta_i"], angles["theta_o"]
+    zero = np.zeros_like(theta_i)
+    notes: list[str] = []
+    phi_i = angles.get("phi_i", zero)
+    stated = "dphi" in angles or "phi_o" in angles
+    if "dphi" in angles:
+        phi_o = phi_i + angles["dphi"]
+    elif "phi_o" in angles:
+        phi_o = angles["phi_o"]
+        if "phi_i" not in angles:
+            notes.append("The file has no incident azimuth: it was taken as 0.")
+    elif _varies(phi_i):
+        phi_o, stated = zero, True
+        notes.append("The file has no outgoing azimuth: it was taken as 0.")
+    else:
+        phi_o = zero
+    if stated:
+        if convention in ("forward", "back"):
+            raise source.error(
+                f"convention {convention!r} is for tables without azimuths, and this one has them",
+                "table-convention", parameter="convention",
+                remedy="use phi_specular_180 or phi_specular_0, or leave it out",
+            )  # fmt: skip
+        convention = convention or "phi_specular_180"
+        if convention == "phi_specular_0":
+            phi_o = phi_o + np.pi
+        side = "180" if convention == "phi_specular_180" else "0"
+        notes.append(f"Azimuths were read so that mirror reflection is at phi_o - phi_i = {side} deg.")
+    else:
+        if convention not in ("forward", "back"):
+            raise source.error(
+                "the table has no azimuths and does not say on which side of the normal theta_o counts",
+                "table-convention", parameter="convention",
+                remedy="give convention='forward' when mirror reflection is at theta_o = theta_i, 'back' when "
+                "theta_o = theta_i looks back to the light; or add a column phi_o_deg or dphi_deg",
+            )  # fmt: skip
+        if convention == "forward":
+            phi_o = phi_o + np.pi
+        sides = "the specular side" if convention == "forward" else "the side of the light"
+        notes.append(f"In-plane table without azimuths: theta_o of the sign of theta_i was read as {sides}.")
+    folded = int(np.count_nonzero((theta_i < 0) | (theta_o < 0)))
+    if folded:
+        notes.append(f"{folded} rows have a negative polar angle: read as the opposite azimuth.")
+    turns = _varies(phi_i)
+    systems: dict[str, tuple[FloatArray, ...]] = {}
+    if not folded:
+        systems = {
+            "spherical_isotropic": (theta_i, theta_o, phi_o - phi_i),
+            "spherical": (theta_i, phi_i, theta_o, phi_o),
+        }
+        if turns:
+            del systems["spherical_isotropic"]
+    wi = _snap(directions.vector_from_spherical(theta_i, phi_i))
+    wo = _snap(directions.vector_from_spherical(theta_o, phi_o))
+    return Geometry(wi, wo, convention, tuple(notes), systems, not turns)
+
+
+def from_half_difference(angles: Mapping[str, FloatArray]) -> Geometry:
+    """Geometry from Rusinkiewicz angles theta_h, theta_d, phi_d and optionally phi_h (radians)."""
+    phi_h = angles.get("phi_h")
+    c = (angles["theta_h"], angles["theta_d"], angles["phi_d"])
+    wi, wo = directions.vectors_from_half_difference(*c, 0.0 if phi_h is None else phi_h)
+    return Geometry(
+        _snap(wi), _snap(wo), "half_difference",
+        ("Directions were computed from half-difference (Rusinkiewicz) angles.",),
+        {"half_difference": c} if phi_h is None else {}, phi_h is None,
+    )  # fmt: skip
+
+
+def from_vectors(
+    source: Source, wi: FloatArray, wo: FloatArray, rows: NDArray[np.intp], names: tuple[str, str]
+) -> Geometry:
+    """Geometry from vector components (n, 3). Rounded ones are scaled to unit length; others are refused."""
+    notes: list[str] = []
+    pair: list[FloatArray] = []
+    for name, given in zip(names, (wi, wo), strict=True):
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = np.sqrt((given * given).sum(axis=1))
+        wrong = np.isfinite(given).all(axis=1) & ~(np.abs(length - 1.0) < 1e-2)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise source.error(
+                f"the vector has length {length[k]:g}", "table-not-unit", row=int(rows[k]), column=name,
+                cause="the columns are not components of a direction", remedy="give unit vectors",
+            )  # fmt: skip
+        # Only what rounding has spoilt is touched, so that full-precision tables come back bit by bit.
+        rounded = np.abs(length - 1.0) > 1e-9
+        if rounded.any():
+            notes.append(f"{int(rounded.sum())} vectors of {name} were scaled to unit length.")
+            given = np.where(rounded[:, None], given / np.where(rounded, length, 1.0)[:, None], given)
+        pair.append(np.where(np.isfinite(given).all(axis=1)[:, None], given, np.nan))
+    return Geometry(pair[0], pair[1], "vectors", tuple(notes))
+
+
+def find_grid(
+    geometry: Geometry,
+    *,
+    system: str | None = None,
+    periodic: Mapping[str, float] | None = None,
+    smallest: int = 2,
+) -> tuple[Grid, NDArray[np.intp]] | None:
+    """The product grid the rows fill completely and once, with the row of each cell in storage order.
+
+    None when they don't. ``system`` None is the natural one of the geometry; ``smallest`` is how many nodes
+    every axis must have; ``periodic`` overrides the periods that are found from azimuth axes that close
+    on themselves.
+    """
+    system = system or next(iter(geometry.coordinates), None)
+    if system is None or system not in geometry.coordinates:
+        return None
+    coordinates = geometry.coordinates[system]
+    axes: dict[str, FloatArray] = {}
+    places: list[NDArray[np.intp]] = []
+    for name, c in zip(GRID_AXES[system], coordinates, strict=True):
+        if not np.isfinite(c).all():
+            return None
+        # Differences of azimuths carry rounding: nodes are told apart at 1e-9 rad.
+        _, first, place = np.unique(np.round(c, 9), return_index=True, return_inverse=True)
+        if len(first) < smallest or (name.startswith("theta") and c.min() < 0):
+            return None
+        axes[name] = c[first]
+        places.append(place.reshape(-1))
+    shape = tuple(len(axis) for axis in axes.values())
+    n = len(coordinates[0])
+    if float(np.prod([float(k) for k in shape])) != n:
+        return None
+    cell = np.ravel_multi_index(tuple(places), shape)
+    order = np.argsort(cell, kind="stable")
+    if not np.array_equal(cell[order], np.arange(n)):
+        return None
+    return Grid(system, axes, _periods(system, axes) if periodic is None else dict(periodic)), order
+
+
+def _periods(system: str, axes: Mapping[str, FloatArray]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, axis in axes.items():
+        if name.startswith("theta") or len(axis) < 3:
+            continue
+        turn = (axis[-1] - axis[0]) * len(axis) / (len(axis) - 1)
+        for period in (np.pi, 2 * np.pi) if system == "half_difference" else (2 * np.pi,):
+            if abs(turn - period) < 1e-6:
+                found[name] = period
+    return found
+
+
+def _varies(angle: FloatArray) -> bool:
+    known = angle[np.isfinite(angle)]
+    return known.size > 0 and float(np.ptp(known)) > 1e-9
+
+
+def _snap(w: FloatArray) -> FloatArray:
+    """Directions within ``HORIZON`` of the horizon set exactly on it, so that 90 deg is never 'above'."""
+    w[..., 2] = np.where(np.abs(w[..., 2]) < HORIZON, 0.0, w[..., 2])
+    return w

@@ -1,0 +1,188 @@
+"""Loading: from a path, bytes, an open file, a folder, a zip archive or a list, to tables."""
+
+from __future__ import annotations
+
+import lzma
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, TypeAlias
+
+from fitter.errors import SpecError, TableError
+from fitter.formats.read_options import ReadOptions, Treatment
+from fitter.formats.registry import detect
+from fitter.formats.source import Source
+from fitter.table import Quantity, Table
+
+Given: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
+
+#: An archive may not unpack to more than this many bytes, whatever its directory claims.
+MAX_UNPACKED = 1 << 30
+
+
+def load(
+    source: Given,
+    *,
+    quantity: Quantity | None = None,
+    convention: str | None = None,
+    item: str | int | None = None,
+    columns: Mapping[str | int, str] | None = None,
+    negatives: Treatment = "mask",
+    duplicates: Treatment = "mask",
+    name: str | None = None,
+) -> Table:
+    """The one table in ``source``: a path, bytes or an open binary file, of any registered format.
+
+    Parameters
+    ----------
+    quantity : "brdf", "ccbrdf" or "reflectance_factor", where the file can't say or says it wrongly.
+    convention : one of :data:`fitter.formats.CONVENTIONS`, likewise.
+    item : which table, where the file holds several: its name, or its position from 0.
+    columns : delimited text: header name or 0-based position -> meaning, as "theta_i_deg", "brdf_R".
+    negatives, duplicates : "mask" or "keep", as in :class:`fitter.Table`.
+    name : what to call the table; default what the file says, else the file's name.
+
+    Raises
+    ------
+    TableError : the bytes are no table, or not one that can be read without being told more.
+    SpecError : an option outside its vocabulary.
+    """
+    tables = load_all(
+        source, quantity=quantity, convention=convention, item=item, columns=columns, negatives=negatives,
+        duplicates=duplicates, name=name,
+    )  # fmt: skip
+    if len(tables) > 1:
+        labels = [_label(table) for table in tables]
+        shown = ", ".join(labels[:12]) + (", ..." if len(labels) > 12 else "")
+        raise TableError(
+            f"the source holds {len(tables)} tables ({shown})", code="table-several",
+            file=_name_of(source, name), parameter="item",
+            remedy=f"choose one with item={labels[0]!r} or item=0, or use load_all",
+        )  # fmt: skip
+    return tables[0]
+
+
+def load_all(
+    source: Given | Sequence[Given],
+    *,
+    quantity: Quantity | None = None,
+    convention: str | None = None,
+    item: str | int | None = None,
+    columns: Mapping[str | int, str] | None = None,
+    negatives: Treatment = "mask",
+    duplicates: Treatment = "mask",
+    name: str | None = None,
+) -> list[Table]:
+    """Every table in a file, folder (its visible files, by name), zip archive or list of these.
+
+    Options as in :func:`load`; they hold for every file. ``item`` keeps one table only: by the name of
+    a file's item or of a member, or by its position among all tables.
+
+    Raises
+    ------
+    TableError : a file is no table (the error names it), or nothing is there to read.
+    """
+    options = ReadOptions(
+        quantity=quantity, convention=convention, item=item, columns=columns or (),  # type: ignore[arg-type]
+        negatives=negatives, duplicates=duplicates, name=name,
+    )  # fmt: skip
+    tables: list[Table] = []
+    for one in _sources(source, name):
+        entry = detect(one)
+        if convention is not None and convention not in entry.conventions:
+            raise one.error(
+                f"convention {convention!r} is not for {entry.name} files", "table-convention",
+                parameter="convention", remedy=f"use one of {', '.join(entry.conventions)}, or leave it out",
+            )  # fmt: skip
+        tables.extend(entry.read(one, options))
+    if not tables:
+        raise TableError("there is no file to read", code="table-empty", file=_name_of(source, name))
+    return tables if item is None else [_select(tables, item, _name_of(source, name))]
+
+
+def _sources(given: object, name: str | None) -> Iterator[Source]:
+    if isinstance(given, list | tuple):
+        for one in given:
+            yield from _sources(one, None)
+        return
+    if isinstance(given, str | os.PathLike) and os.path.isdir(given):
+        for path in sorted(Path(given).iterdir()):
+            if path.is_file() and not path.name.startswith("."):
+                yield from _sources(path, None)
+        return
+    source = Source(given, name)  # type: ignore[arg-type]  # Source itself refuses what it can't read
+    if source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        yield from _members(source)
+    else:
+        yield source
+
+
+def _members(archive: Source) -> Iterator[Source]:
+    try:
+        with zipfile.ZipFile(BytesIO(archive.data)) as content:
+            wanted = [
+                m for m in content.infolist()
+                if not m.is_dir() and not any(p.startswith((".", "__MACOSX")) for p in Path(m.filename).parts)
+            ]  # fmt: skip
+            claimed = sum(m.file_size for m in wanted)
+            if claimed > MAX_UNPACKED:
+                raise archive.error(
+                    f"the archive claims to unpack to {claimed / 1e9:.1f} GB", "archive-too-large",
+                    remedy="unpack it and load the folder",
+                )  # fmt: skip
+            for member in wanted:
+                # read() stops at the size the directory claims, which is bounded above.
+                yield Source(content.read(member), Path(member.filename).name)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+        EOFError,
+        OSError,
+        ValueError,
+        OverflowError,
+    ) as error:
+        raise archive.error(
+            f"the zip archive is damaged: {error}", "archive-damaged", remedy="fetch the file again"
+        ) from error
+    except (RuntimeError, NotImplementedError) as error:
+        raise archive.error(
+            f"the zip archive can't be unpacked: {error}", "archive-damaged",
+            cause="a password or an unusual compression", remedy="unpack it and load the folder",
+        ) from error  # fmt: skip
+
+
+def _label(table: Table) -> str:
+    return str(table.metadata.provenance.get("item", table.metadata.name))
+
+
+def _select(tables: list[Table], item: str | int, file: str | None) -> Table:
+    labels = [_label(table) for table in tables]
+    if isinstance(item, int):
+        if 0 <= item < len(tables):
+            return tables[item]
+    else:
+        for names in (labels, [t.metadata.name for t in tables], [_file_of(t) for t in tables]):
+            if names.count(item) == 1:
+                return tables[names.index(item)]
+        # A number that is no item's name is a position: form fields and shells know only text.
+        if item.isdecimal() and int(item) < len(tables):
+            return tables[int(item)]
+    shown = ", ".join(labels[:20]) + (", ..." if len(labels) > 20 else "")
+    raise SpecError(
+        f"there is no item {item!r}", code="unknown-item", file=file, parameter="item",
+        remedy=f"the items are {shown}; or give a position from 0 to {len(labels) - 1}",
+    )  # fmt: skip
+
+
+def _file_of(table: Table) -> Any:
+    return table.metadata.provenance.get("file")
+
+
+def _name_of(given: object, name: str | None) -> str | None:
+    if isinstance(given, str | os.PathLike):
+        return Path(given).name
+    return name

@@ -1,0 +1,101 @@
+"""MERL binary: three float64 planes over a half-difference grid, as measured by Matusik et al. (2003)."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.formats.assemble import Reading, build
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.registry import Format
+from fitter.formats.source import Source
+from fitter.table import Channel, Grid, Table
+
+NAME = "merl"
+CONVENTIONS = ("center", "corner")
+#: Stored values times these are f_r in 1/sr (the scales of the database's own reader).
+SCALES = (1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)
+_HEADER = struct.Struct("<3i")
+#: A dimension beyond this is no grid but other bytes read as one.
+_LARGEST = 100_000
+
+
+def sniff(head: bytes, size: int) -> float:
+    """Sure when the size is what the three dimensions ask for; a plausible header is enough to be asked."""
+    if len(head) < _HEADER.size:
+        return 0.0
+    dims = _HEADER.unpack_from(head)
+    if not all(0 < n <= _LARGEST for n in dims):
+        return 0.0
+    return 1.0 if size == _bytes(dims) else 0.7
+
+
+def read(source: Source, options: ReadOptions) -> list[Table]:
+    """The table of a MERL file on its grid; no directions are computed. Negative cells are unmeasured."""
+    convention = options.convention or "center"
+    if options.quantity not in (None, "brdf"):
+        raise source.error(
+            f"a MERL file holds f_r itself, not {options.quantity}", "table-quantity", parameter="quantity",
+            remedy="leave quantity out",
+        )  # fmt: skip
+    dims = _HEADER.unpack_from(source.head)
+    if source.size != _bytes(dims):
+        raise source.error(
+            f"the header claims {' x '.join(map(str, dims))} cells, {_bytes(dims):,} bytes, "
+            f"and the file has {source.size:,}", "table-truncated",
+            cause="the file is cut off" if source.size < _bytes(dims) else "the file is not a MERL binary",
+            remedy="fetch the file again",
+        )  # fmt: skip
+    if min(dims) < 2:
+        raise source.error(
+            f"the grid has {' x '.join(map(str, dims))} cells, too few to interpolate", "table-header",
+            remedy="use a MERL file of 2 or more cells on each axis",
+        )  # fmt: skip
+    planes = np.frombuffer(source.data, "<f8", offset=_HEADER.size).reshape(3, -1)
+    value = np.empty((planes.shape[1], 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for channel, scale in enumerate(SCALES):
+            np.multiply(planes[channel], scale, out=value[:, channel])
+    notes = [
+        "A value belongs to the centre of its cell in index space." if convention == "center"
+        else "A value belongs to the lower corner of its cell."
+    ]  # fmt: skip
+    if dims != (90, 90, 180):
+        notes.append(f"The grid is {' x '.join(map(str, dims))}, not the database's 90 x 90 x 180.")
+    reading = Reading(NAME, "brdf", value, [Channel(c) for c in "RGB"], provenance={"dims": list(dims)})
+    return [
+        build(
+            source,
+            options,
+            reading,
+            convention,
+            notes,
+            value=value,
+            grid=merl_grid(dims, convention),
+            symmetric=True,
+        )
+    ]
+
+
+FORMAT = Format(NAME, "MERL binary, RGB on a half-difference grid", CONVENTIONS, sniff, read)
+
+
+def merl_grid(dims: tuple[int, int, int] = (90, 90, 180), convention: str = "center") -> Grid:
+    """The grid of ``dims`` (theta_h, theta_d, phi_d) cells.
+
+    The database bins theta_h as floor(n sqrt(theta_h / (pi/2))), theta_d and phi_d linearly over pi/2 and
+    pi. A stored value is what the measurements in a bin gave, so "center" puts it at index + 1/2; "corner"
+    puts it at the index itself, as some readers do.
+    """
+    shift = 0.5 if convention == "center" else 0.0
+    h, d, p = ((np.arange(n) + shift) / n for n in dims)
+    axes: dict[str, NDArray[np.float64]] = {
+        "theta_h": h * h * (np.pi / 2), "theta_d": d * (np.pi / 2), "phi_d": p * np.pi
+    }  # fmt: skip
+    return Grid("half_difference", axes, {"phi_d": np.pi})
+
+
+def _bytes(dims: tuple[int, ...]) -> int:
+    return _HEADER.size + 24 * dims[0] * dims[1] * dims[2]

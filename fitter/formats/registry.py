@@ -1,0 +1,99 @@
+"""The registry of file formats: found by looking into this folder, chosen by a file's content."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.source import Source
+from fitter.table import Table
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format. A module of this folder that has one as ``FORMAT`` is registered by that alone.
+
+    name : short stable name, as in ``Metadata.source_format``.
+    description : one sentence for help texts.
+    conventions : those of ``CONVENTIONS`` that its reader takes, the default first.
+    sniff : (first bytes, file size) -> 0 (not this format) ... 1 (certain).
+    read : (source, options) -> the tables in it, at least one. Raises TableError.
+    """
+
+    name: str
+    description: str
+    conventions: tuple[str, ...]
+    sniff: Callable[[bytes, int], float]
+    read: Callable[[Source, ReadOptions], list[Table]]
+
+
+#: Below this score a format is only a guess, and a known foreign signature wins.
+SURE = 0.5
+
+#: Formats that are recognised so that the message can name them, though nothing here reads them yet.
+_FOREIGN: tuple[tuple[bytes, str], ...] = (
+    (rb"tensor_file\0", "an EPFL RGL tensor file"),
+    (rb"NVIDIA ARC MBSDF", "an NVIDIA MBSDF file"),
+    (rb"\x1f\x8b", "gzip-compressed: unpack it first"),
+    (rb"%PDF-", "a PDF document"),
+    (rb"\x89PNG|\xff\xd8\xff|\x76\x2f\x31\x01", "a picture"),
+    (rb"\x89HDF|CDF[\x01\x02]", "an HDF5 or NetCDF file"),
+    (rb"\x93NUMPY", "a NumPy array: build fitter.Table(wi=..., wo=..., value=...) from it"),
+    (rb"\s*[\[{]\s*[\"\[{\]}]", "JSON"),
+    (rb"\s*<\?xml|\s*<\w+[^>]*>", "XML"),
+    (rb"type\s+bsdf_data", "a FRED scatter table"),
+    (rb"(?s).{0,8192}?^Source\s+Measured", "a Zemax BSDF file"),
+    (rb"VERSION\s+\d|DATA_TYPE\s+brdf", "an SSDD file"),
+)
+
+
+@cache
+def formats() -> tuple[Format, ...]:
+    """All registered formats, by name."""
+    import fitter.formats as here
+
+    found: list[Format] = []
+    for module in pkgutil.iter_modules(here.__path__):
+        entry = getattr(importlib.import_module(f"{here.__name__}.{module.name}"), "FORMAT", None)
+        if isinstance(entry, Format):
+            found.append(entry)
+    return tuple(sorted(found, key=lambda entry: entry.name))
+
+
+def detect(source: Source) -> Format:
+    """The format of ``source`` by content alone. Raises TableError that says what the bytes are instead."""
+    head = source.head
+    if not head.strip(b"\xef\xbb\xbf \t\r\n"):
+        empty = "empty" if source.size == 0 else "blank"
+        raise source.error(
+            f"the file is {empty} ({source.size} bytes)", "table-empty",
+            cause="a download or copy that failed", remedy="fetch the file again",
+        )  # fmt: skip
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:2048].lower()
+    if start.startswith(b"<") and re.search(rb"<!doctype html|<html|<head|<body", start):
+        raise source.error(
+            "this is an HTML page, not a table", "table-html",
+            cause="a web page (often a login or error page) was saved in place of the data",
+            remedy="download the data file itself",
+        )  # fmt: skip
+    scored = [(entry.sniff(head, source.size), entry) for entry in formats()]
+    score, best = max(scored, key=lambda pair: pair[0])
+    if score < SURE:
+        for signature, what in _FOREIGN:
+            if re.match(signature, head, re.MULTILINE):
+                raise source.error(
+                    f"the file is {what}", "table-unknown-format",
+                    remedy=f"convert it to one of: {', '.join(entry.name for entry in formats())}",
+                )  # fmt: skip
+    if score == 0:
+        raise source.error(
+            "the bytes are no table this program knows", "table-unknown-format",
+            cause="binary data of another kind, or a damaged file",
+            remedy=f"use one of: {', '.join(entry.name for entry in formats())}",
+        )  # fmt: skip
+    return best

@@ -1,0 +1,136 @@
+"""Source: the bytes of one file, wherever they come from, and the errors that name it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import stat
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from fitter.errors import TableError
+
+#: Bytes that are looked at to tell the format.
+HEAD = 1 << 16
+
+
+class Source:
+    """One file's bytes, read when first needed, so that a wrong file costs only its head.
+
+    Parameters
+    ----------
+    given : a path, bytes or an open binary file (read from where it stands).
+    name : what errors call it; default the path's last part.
+
+    Raises
+    ------
+    TableError : the file is missing, unreadable, or was opened as text.
+    """
+
+    def __init__(self, given: str | os.PathLike[str] | bytes | BinaryIO, name: str | None = None) -> None:
+        self._path: Path | None = None
+        self._bytes = b""
+        if isinstance(given, bytes | bytearray | memoryview):
+            self._bytes = bytes(given)
+            self.name = name
+        elif isinstance(given, str | os.PathLike):
+            self._path = Path(given)
+            self.name = self._path.name or str(self._path)
+        elif hasattr(given, "read"):
+            path = getattr(given, "name", None)
+            self.name = name or (Path(path).name if isinstance(path, str) else None)
+            content: object = given.read()
+            if not isinstance(content, bytes):
+                raise self.error(
+                    "the file is open as text", "file-unreadable", remedy='open it with mode "rb"'
+                )
+            self._bytes = content
+        else:
+            raise TableError(
+                f"can't read a table from {type(given).__name__}", code="file-unreadable",
+                remedy="give a path, bytes or an open binary file",
+            )  # fmt: skip
+        self.head, self.size = self._open()
+
+    def _open(self) -> tuple[bytes, int]:
+        if self._path is None:
+            return self._bytes[:HEAD], len(self._bytes)
+        try:
+            with self._path.open("rb") as file:
+                state = os.fstat(file.fileno())
+                if stat.S_ISREG(state.st_mode):
+                    return file.read(HEAD), state.st_size
+                # A pipe has no size and can be read only once.
+                self._path, self._bytes = None, file.read()
+                return self._bytes[:HEAD], len(self._bytes)
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            raise self._unreadable(error) from error
+
+    def _unreadable(self, error: Exception) -> TableError:
+        missing = isinstance(error, FileNotFoundError)
+        reason = getattr(error, "strerror", None) or str(error)
+        return self.error(
+            f"the file can't be read: {reason}", "file-missing" if missing else "file-unreadable",
+            remedy="check the path" if missing else "check that it is a plain file you may read",
+        )  # fmt: skip
+
+    @cached_property
+    def data(self) -> bytes:
+        """All bytes."""
+        if self._path is None:
+            return self._bytes
+        try:
+            return self._path.read_bytes()
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hexadecimal digest of all bytes."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    @property
+    def stem(self) -> str:
+        """The name without its extension, "" when there is no name."""
+        return Path(self.name).stem if self.name else ""
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """Lines of a UTF-8 text (a byte order mark is skipped), as an editor numbers them from 1."""
+        data = self.data
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise self.error(
+                "the text is UTF-16 encoded", "text-encoding", cause='it was saved as "Unicode text"',
+                remedy="save it as UTF-8",
+            )  # fmt: skip
+        at = data.find(b"\0")
+        if at >= 0:
+            raise self.error(
+                f"byte {at + 1} is NUL, which no text has", "text-nul", row=_row_of(data, at),
+                cause="binary data, a UTF-16 text, or a file damaged while it was written",
+                remedy="save the table as UTF-8 text, or fetch the file again",
+            )  # fmt: skip
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise self.error(
+                f"byte 0x{data[error.start]:02x} is not UTF-8", "text-encoding",
+                row=_row_of(data, error.start), 
+                cause="a text in another encoding (Latin-1, Windows-1252), or binary data",
+                remedy="save it as UTF-8",
+            ) from error  # fmt: skip
+        # Not splitlines(): that also breaks at form feeds and other marks no editor counts as a line.
+        lines = re.split(r"\r\n|\n|\r", text)
+        if lines and not lines[-1]:
+            lines.pop()
+        return lines
+
+    def error(self, message: str, code: str, **keywords: Any) -> TableError:
+        """A TableError that names this file."""
+        return TableError(message, code=code, file=self.name, **keywords)
+
+
+def _row_of(data: bytes, at: int) -> int:
+    return len(re.findall(rb"\r\n|\n|\r", data[:at])) + 1

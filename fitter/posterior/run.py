@@ -1,0 +1,2 @@
+def sample(*a, **k):
+    raise RuntimeError

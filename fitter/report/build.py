@@ -1,0 +1,132 @@
+"""build: a table, its fit and its posterior become one report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitter.errors import SpecError
+from fitter.formats import describe
+from fitter.report import convergence, parameters, provenance, reflectance, residuals, slices, verdict
+from fitter.report.clean import clean
+from fitter.report.fitted import Fitted
+from fitter.report.report import KIND, VERSION, Report
+
+if TYPE_CHECKING:
+    from fitter.compression import CompressedTable
+    from fitter.fitting.result import FitResult
+    from fitter.posterior.result import Posterior
+    from fitter.table import Table
+
+
+def build(
+    table: Table | CompressedTable,
+    fit: FitResult,
+    posterior: Posterior | None = None,
+    *,
+    others: Sequence[FitResult] = (),
+) -> Report:
+    """The report of a fit.
+
+    Parameters
+    ----------
+    table : the table that was fitted; another one is reported on, but the verdict says so first.
+    posterior : of the same fit, or None.
+    others : further fits of the same table, for the comparison.
+
+    Raises
+    ------
+    SpecError : the table lacks a channel of the fit, or the posterior belongs to another model.
+    """
+    fitted = Fitted.of(table, fit)
+    if posterior is not None and (
+        posterior.template.channels != fit.model.channels or posterior.fit_spec.model != fit.spec.model
+    ):
+        raise SpecError(
+            f"the posterior is of {posterior.fit_spec.model.name}, channels "
+            f"{', '.join(posterior.template.channels)}, and the fit is of {fit.spec.model.name}, channels "
+            f"{', '.join(fit.model.channels)}",
+            code="posterior-mismatch", parameter="posterior", remedy="give the posterior of this fit",
+        )  # fmt: skip
+    seed = fit.spec.seed
+    record: dict[str, Any] = {
+        "kind": KIND,
+        "version": VERSION,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "title": f"{fitted.table.metadata.name or 'table'}: {fit.spec.model.name}",
+        "fit": _fit(fitted),
+        "parameters": parameters.section(fitted, posterior),
+        "correlation": parameters.correlation(fitted),
+        "residuals": residuals.section(fitted, seed),
+        "slices": slices.section(fitted, posterior, seed),
+        "reflectance": reflectance.section(fitted),
+        "posterior": convergence.section(fitted, posterior),
+        "cost": {"cost": fit.cost, "evidence": fit.evidence, "table": _reduced(fit.table)},
+        "table": _table(fitted),
+        "comparison": [_compared(one) for one in (fit, *others)],
+        "provenance": provenance.section(fitted, posterior, seed),
+        "warnings": list(fit.warnings),
+    }
+    record = clean(record)
+    record["verdict"] = clean(verdict.section(record))
+    return Report(record)
+
+
+def _fit(fitted: Fitted) -> dict[str, Any]:
+    fit = fitted.fit
+    return {
+        "model": fit.spec.model.name,
+        "spec": fit.spec.model.model_dump(mode="json"),
+        "metric": fit.spec.metric or fit.table.get("metric") or "not stated",
+        "solver": fit.spec.solver,
+        "channels": list(fit.model.channels),
+        "samples": int(fit.cost.get("samples", len(fitted.index))),
+        "status": fit.status,
+        "message": fit.message,
+        "metrics": {name: np.asarray(v) for name, v in fit.metrics.items()},
+        "uncertainty": fit.uncertainty,
+        "seconds": fit.seconds,
+    }
+
+
+def _compared(fit: FitResult) -> dict[str, Any]:
+    return {
+        "model": fit.spec.model.name,
+        "metric": fit.spec.metric or fit.table.get("metric") or "not stated",
+        "solver": fit.spec.solver,
+        "parameters": len(fit.labels),
+        "metrics": {name: np.asarray(v) for name, v in fit.metrics.items()},
+        "seconds": fit.seconds,
+        "status": fit.status,
+        "table_hash": fit.table.get("hash"),
+    }
+
+
+def _reduced(table: Mapping[str, Any]) -> dict[str, Any]:
+    """What the fit used of the table, without what the table's own section shows."""
+    return {name: value for name, value in table.items() if name not in ("domain", "source", "hash", "name")}
+
+
+def _table(fitted: Fitted) -> dict[str, Any]:
+    table, meta = fitted.table, fitted.table.metadata
+    fitted_hash = fitted.fit.table.get("hash")
+    mismatch = None
+    if fitted_hash and fitted_hash != table.hash:
+        mismatch = (
+            "The table given to this report is not the one that was fitted (their hashes differ): residuals and "
+            "slices compare the fit with other data."
+        )
+    return {
+        "description": describe(table),
+        "name": meta.name,
+        "samples": len(table),
+        "usable": int(table.mask.sum()),
+        "selected": len(fitted.index),
+        "masked": dict(meta.masked),
+        "notes": list(meta.notes),
+        "domain": table.domain.to_dict(),
+        "mismatch": mismatch,
+    }

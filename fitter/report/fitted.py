@@ -1,0 +1,124 @@
+"""The samples a fit was made to, seen by the report: selection, channels, a seeded subsample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.compression import CompressedTable
+from fitter.errors import SpecError
+from fitter.table import Channel, Table
+
+if TYPE_CHECKING:
+    from fitter.fitting.result import FitResult
+    from fitter.posterior.result import Posterior
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+#: Figures show at most so many channels: the first, the last, and evenly spaced ones between them.
+MOST_CHANNELS = 4
+#: Samples that residual statistics use at most, and points that a figure shows at most.
+MOST_SAMPLES = 20_000
+MOST_POINTS = 2_500
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A table and a fit of it, with the fit's selection of samples and channels.
+
+    columns : position in the table of each of the model's C channels.
+    """
+
+    table: Table
+    fit: FitResult
+    columns: tuple[int, ...]
+
+    @staticmethod
+    def of(table: Table | CompressedTable, fit: FitResult) -> Fitted:
+        """Match channels by name. Raises SpecError where the fit has channels that the table has not."""
+        whole = table.decompress() if isinstance(table, CompressedTable) else table
+        names = [channel.name for channel in whole.channels]
+        missing = [name for name in fit.model.channels if name not in names]
+        if missing:
+            raise SpecError(
+                f"the fit has a channel {missing[0]!r} and the table has {', '.join(names)}",
+                code="table-mismatch", parameter="table",
+                cause="the result belongs to another table, or it was read with other options",
+                remedy="give the table that was fitted",
+            )  # fmt: skip
+        return Fitted(whole, fit, tuple(names.index(name) for name in fit.model.channels))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The table's channels in the order of the model's."""
+        return tuple(self.table.channels[c] for c in self.columns)
+
+    @cached_property
+    def shown(self) -> tuple[int, ...]:
+        """Positions, among the model's channels, of those that figures show."""
+        count = len(self.columns)
+        return tuple(np.unique(np.linspace(0, count - 1, min(count, MOST_CHANNELS)).round().astype(int)).tolist())
+
+    @cached_property
+    def index(self) -> IndexArray:
+        """Rows of the table that are usable and selected by the fit's specification."""
+        index = np.flatnonzero(self.table.mask)
+        select = self.fit.spec.select
+        limits = (select.theta_i_max_deg, select.theta_o_max_deg)
+        if limits == (None, None):
+            return index
+        for limit, w in zip(limits, self.table.directions(index), strict=True):
+            if limit is not None:
+                # A row left out by one limit keeps its place until both are known.
+                index = np.where(w[:, 2] >= np.cos(np.deg2rad(limit)) - 1e-12, index, -1)
+        return index[index >= 0]
+
+    def values(self, index: IndexArray) -> FloatArray:
+        """(n, C) measured values of rows ``index``, 1/sr, in the order of the model's channels."""
+        return self.table.value[np.ix_(index, self.columns)]
+
+    def sigma(self, index: IndexArray) -> FloatArray | None:
+        """(n, C) stated standard uncertainties, 1/sr, or None."""
+        return None if self.table.sigma is None else self.table.sigma[np.ix_(index, self.columns)]
+
+    def subsample(self, size: int, seed: int) -> IndexArray:
+        """At most ``size`` of :attr:`index`, drawn without replacement with ``seed``, in order."""
+        return thin(self.index, size, seed)
+
+
+def thin(index: IndexArray, size: int, seed: int) -> IndexArray:
+    """At most ``size`` entries of ``index``, drawn without replacement, in order."""
+    if len(index) <= size:
+        return index
+    return np.sort(np.random.default_rng(seed).choice(index, size, replace=False))
+
+
+def restricted(posterior: Posterior, channels: tuple[str, ...]) -> Posterior:
+    """The posterior of these channels only: a prediction then costs no more than what is shown."""
+    template = posterior.template
+    if channels == template.channels:
+        return posterior
+    where = [template.channels.index(name) for name in channels]
+    values = {name: v[np.array(where)] if v.ndim else v for name, v in template.values.items()}
+    keep = [k for k, label in enumerate(posterior.labels) if _channel(label) in (None, *channels)]
+    return replace(
+        posterior,
+        template=type(template)(spec=template.spec, channels=channels, values=values),
+        labels=tuple(posterior.labels[k] for k in keep),
+        draws=posterior.draws[:, keep],
+    )
+
+
+def label_of(name: str, channel: str | None) -> str:
+    """The flat label of a parameter: "alpha" shared, "ks[G]" per channel."""
+    return name if channel is None else f"{name}[{channel}]"
+
+
+def _channel(label: str) -> str | None:
+    _, bracket, rest = label.partition("[")
+    return rest.removesuffix("]") if bracket else None

@@ -1,0 +1,179 @@
+"""The first screen: can I trust this fit, in three sentences with numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fitter.report.rounding import percent, significant
+
+Record = Mapping[str, Any]
+
+HEADLINES = {
+    "good": "This fit can be used, within the uncertainties stated here.",
+    "caution": "This fit can be used with care.",
+    "bad": "Do not rely on this fit.",
+}
+#: Relative rmse from which on the model misses the table so much that it must be said.
+LARGE_MISFIT = 0.2
+#: Birge ratio from which on the stated noise does not explain the residuals.
+LARGE_BIRGE = 2.0
+MOST_NAMED = 6
+
+
+def section(record: Record) -> dict[str, Any]:
+    """The verdict, drawn from the other sections of the record."""
+    bad, caution = _against(record)
+    level = "bad" if bad else "caution" if caution else "good"
+    return {
+        "level": level,
+        "headline": HEADLINES[level],
+        "sentences": [_misfit(record), _parameters(record), _posterior(record)],
+        "reasons": [*bad, *caution],
+        "thresholds": {"relative_rmse": LARGE_MISFIT, "birge_ratio": LARGE_BIRGE},
+    }
+
+
+def _against(record: Record) -> tuple[list[str], list[str]]:
+    """What speaks against the fit, and what asks for care."""
+    fit, posterior, rows = record["fit"], record["posterior"], record["parameters"]["rows"]
+    bad: list[str] = []
+    caution: list[str] = []
+    if fit["status"] == "not_converged":
+        bad.append(f"The fit did not converge: {_stop(fit['message'])}")
+    elif fit["status"] != "converged":
+        bad.append(f"{_capital(fit['status'].replace('_', ' '))}: {_stop(fit['message'])}")
+    relative = fit["metrics"].get("relative_rmse")
+    if relative is None:
+        bad.append("The relative misfit is not a finite number.")
+    elif relative > LARGE_MISFIT:
+        caution.append(
+            f"The model misses the table by {percent(relative)} (relative rmse, more than {percent(LARGE_MISFIT)})."
+        )
+    birge = _birge(record)
+    if birge is not None and birge > LARGE_BIRGE:
+        caution.append(f"The residuals are {significant(birge, 2)} times the stated measurement uncertainty.")
+    for state in ("on its lower bound", "on its upper bound"):
+        labels = [row["label"] for row in rows if row["state"] == state]
+        if labels:
+            verb = "lies" if len(labels) == 1 else "lie"
+            bound = state.removeprefix("on its ")
+            caution.append(f"{_listed(labels)} {verb} on the {bound}: no symmetric uncertainty can be stated.")
+    barely = [row["label"] for row in rows if row["barely_determined"]]
+    if barely:
+        caution.append(f"{_listed(barely)} {'is' if len(barely) == 1 else 'are'} barely determined (u is more than half the estimate).")
+    caution += record["correlation"]["in_words"][:3]
+    if posterior is not None and posterior["status"] != "converged":
+        caution.append(f"The posterior did not converge: {_stop(posterior['message'])}")
+    high = [row["theta_i_deg"] for row in record["reflectance"]["rows"] if row["above_one"]]
+    if high:
+        inside = any(row["above_one"] and not row["extrapolated"] for row in record["reflectance"]["rows"])
+        caution.append(
+            f"The model reflects more than arrives at θ_i = {', '.join(f'{a:g}°' for a in high)}"
+            + ("." if inside else ", outside the measured incidences.")
+        )
+    if record["table"]["mismatch"]:
+        bad.insert(0, record["table"]["mismatch"])
+    return bad, caution
+
+
+def _misfit(record: Record) -> str:
+    fit = record["fit"]
+    status = {"converged": "converged", "not_converged": "did not converge"}.get(
+        fit["status"], f"ended as {fit['status'].replace('_', ' ')}"
+    )
+    relative, r2 = (fit["metrics"].get(name) for name in ("relative_rmse", "r2"))
+    channels = len(fit["channels"])
+    text = (
+        f"The fit of {fit['model']} (metric {fit['metric']}) {status}; over {fit['samples']:,} samples"
+        f"{f' in {channels} channels' if channels > 1 else ''} the model misses the measured values by "
+        f"{percent(_number(relative))} (relative rmse; R² = {significant(_number(r2), 3)})"
+    )
+    birge = _birge(record)
+    if birge is not None:
+        text += f", {significant(birge, 2)} times the stated measurement uncertainty (Birge ratio)"
+    share = _systematic(record)
+    if share is not None:
+        text += f"; at least {percent(share)} of the residual variance is systematic misfit of the model, not noise"
+    return text + "."
+
+
+def _parameters(record: Record) -> str:
+    parameters = record["parameters"]
+    free = [row for row in parameters["rows"] if row["state"] != "fixed"]
+    fixed = len(parameters["rows"]) - len(free)
+    stated = [row for row in free if row["standard_uncertainty"] is not None and row["state"] == "estimated"]
+    open_ = [row["label"] for row in free if row["state"] == "not identified"]
+    bound = [row["label"] for row in free if row["state"].startswith("on its")]
+    parts: list[str] = []
+    if len(stated) == len(free):
+        every = "the free parameter is" if len(free) == 1 else f"all {len(free)} free parameters are"
+        parts.append(f"{_capital(every)} determined by the table and inside the bounds" if free else "No parameter was free")
+    else:
+        parts.append(f"{len(stated)} of {len(free)} free parameters have a standard uncertainty")
+        if bound:
+            parts.append(f"{_listed(bound)} {'lies' if len(bound) == 1 else 'lie'} on a bound")
+        if open_:
+            parts.append(f"{_listed(open_)} {'is' if len(open_) == 1 else 'are'} not identified by this table")
+    if fixed:
+        parts.append(f"{fixed} {'is' if fixed == 1 else 'are'} fixed")
+    shares = [(row["standard_uncertainty"] / abs(row["estimate"]), row) for row in stated if row["estimate"]]
+    if shares:
+        _, worst = max(shares, key=lambda pair: pair[0])
+        text, k = worst["text"], parameters["coverage_factor"]
+        parts.append(
+            f"the least well known is {worst['label']}, estimate y = {text['estimate']} with standard uncertainty "
+            f"u = {text['standard_uncertainty']} and expanded uncertainty U = k u = {text['expanded_uncertainty']} "
+            f"(k = {k:g})"
+        )
+    return "; ".join(parts) + "."
+
+
+def _posterior(record: Record) -> str:
+    posterior = record["posterior"]
+    if posterior is None:
+        return "No posterior was sampled: there are no credible intervals, and the uncertainties rest on the fit alone."
+    rhat, bulk, tail = (posterior[name] for name in ("largest_rhat", "smallest_ess_bulk", "smallest_ess_tail"))
+    known = [x for x in (bulk, tail) if x is not None]
+    ess = f"{min(known):,.0f}" if len(known) == 2 else "—"
+    numbers = f"largest R-hat {_rhat(rhat)}, smallest effective sample size {ess}"
+    if posterior["status"] == "converged":
+        return f"The posterior converged ({numbers}); its 95 % intervals are credible intervals under the stated likelihood."
+    return f"The posterior did not converge ({numbers}): {_stop(posterior['message'])}"
+
+
+def _birge(record: Record) -> float | None:
+    """The largest Birge ratio of the channels."""
+    found = [row["birge_ratio"] for row in record["residuals"]["per_channel"] if row["birge_ratio"] is not None]
+    return max(found, default=None)
+
+
+def _systematic(record: Record) -> float | None:
+    """The median systematic share of the channels."""
+    found = sorted(
+        row["systematic_share"] for row in record["residuals"]["per_channel"] if row["systematic_share"] is not None
+    )
+    return found[len(found) // 2] if found else None
+
+
+def _listed(labels: Sequence[str]) -> str:
+    if len(labels) > MOST_NAMED:
+        return f"{', '.join(labels[:MOST_NAMED])} and {len(labels) - MOST_NAMED} more"
+    return " and ".join([", ".join(labels[:-1]), labels[-1]] if len(labels) > 1 else labels)
+
+
+def _number(x: float | None) -> float:
+    return math.nan if x is None else x
+
+
+def _rhat(x: float | None) -> str:
+    return "—" if x is None else f"{x:.4f}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _stop(text: str) -> str:
+    return text if text.endswith((".", "?", "!")) else text + "."

@@ -1,0 +1,8 @@
+"""Random directions from models and from raw tables."""
+
+from __future__ import annotations
+
+from fitter.sampling.samples import Samples
+from fitter.sampling.table_sampler import TableSampler
+
+__all__ = ["Samples", "TableSampler"]

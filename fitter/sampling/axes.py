@@ -1,0 +1,131 @@
+"""One axis of a product grid: between which nodes a coordinate lies, and whether that was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.table import Grid
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
+
+#: A coordinate this close (radians) to a measured one is that one: instruments repeat to about 1e-4.
+SAME_ANGLE = 1e-4
+# An axis that ends within this many spacings of a natural end (the normal, the horizon, the plane of
+# incidence) holds cell centres: its last value stands up to that end.
+_TO_THE_END = 0.75
+_NATURAL_END: Mapping[str, float] = {
+    "theta_h": np.pi / 2, "theta_d": np.pi / 2, "theta_i": np.pi / 2, "theta_o": np.pi / 2, "dphi": np.pi,
+}  # fmt: skip
+# Cell edges that differ by rounding only.
+_ROUNDING = 1e-12
+
+
+class Place(NamedTuple):
+    """Between nodes ``low`` and ``high`` at ``fraction`` in [0, 1]; ``measured`` False outside the axis."""
+
+    low: IndexArray
+    high: IndexArray
+    fraction: FloatArray
+    measured: BoolArray
+
+
+@dataclass(frozen=True)
+class Axis:
+    """nodes : increasing, radians; period : None for an axis that doesn't close on itself."""
+
+    name: str
+    nodes: FloatArray
+    period: float | None
+
+    @cached_property
+    def extent(self) -> tuple[float, float]:
+        """Coordinates over which the axis is defined, up to the natural ends where it reaches them."""
+        first, last = float(self.nodes[0]), float(self.nodes[-1])
+        if self.period is not None:
+            return first, first + self.period
+        if len(self.nodes) == 1:
+            free = self.name == "phi_d"  # tables without that axis take it as one node
+            return (-np.inf, np.inf) if free else (first - SAME_ANGLE, last + SAME_ANGLE)
+        natural = _NATURAL_END.get(self.name)
+        if natural is not None:
+            start, end = self.nodes[1] - first, last - self.nodes[-2]
+            if 0 < first <= _TO_THE_END * start:
+                first = 0.0
+            if 0 < natural - last <= _TO_THE_END * end:
+                last = natural
+        return first, last
+
+    def fold(self, x: FloatArray) -> FloatArray:
+        """Azimuth differences beyond an axis that covers half a turn, mirrored into it."""
+        if self.name != "dphi" or self.period is not None:
+            return x
+        folded = np.abs(np.mod(x + np.pi, 2 * np.pi) - np.pi)
+        return np.where((x > self.nodes[-1]) | (x < self.nodes[0]), folded, x)
+
+    def locate(self, x: FloatArray) -> Place:
+        """Where coordinates (M,), as :meth:`fitter.table.Grid.locate` returns them, lie."""
+        x = self.fold(x)
+        low, high = self.extent
+        measured = (x >= low - SAME_ANGLE * 1e-3) & (x <= high + SAME_ANGLE * 1e-3)
+        n = len(self.nodes)
+        if n == 1:
+            zero = np.zeros(x.shape, np.intp)
+            return Place(zero, zero, np.zeros(x.shape), measured | (self.period is not None))
+        if self.period is not None:
+            i = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, n - 1)
+            following = np.append(self.nodes[1:], self.nodes[0] + self.period)
+            t = np.clip((x - self.nodes[i]) / (following[i] - self.nodes[i]), 0.0, 1.0)
+            return Place(i, np.where(i + 1 < n, i + 1, 0), t, np.ones(x.shape, bool))
+        i = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, n - 2)
+        t = (x - self.nodes[i]) / (self.nodes[i + 1] - self.nodes[i])
+        # Beyond an end both corners are the end node, so that its neighbour (masked or not) has no say.
+        return Place(
+            np.where(t >= 1.0, i + 1, i), np.where(t <= 0.0, i, i + 1), np.clip(t, 0.0, 1.0), measured
+        )
+
+    def breakpoints(self, low: float, high: float) -> FloatArray:
+        """Where the piecewise linear function of this axis may bend or end, in [low, high], ends included.
+
+        Azimuths are taken on every branch (+-2 pi, and mirrored where the axis folds).
+        """
+        marks = np.concatenate([self.nodes, self.extent])
+        marks = marks[np.isfinite(marks)]
+        if self.name == "dphi":
+            marks = np.concatenate([marks, -marks])
+        if not self.name.startswith("theta"):
+            marks = np.concatenate([marks - 2 * np.pi, marks, marks + 2 * np.pi])
+        marks = np.sort(np.concatenate([marks[(marks > low) & (marks < high)], [low, high]]))
+        keep = np.append(np.diff(marks) > _ROUNDING, True)
+        keep[0] = True
+        return marks[keep]
+
+
+def axes_of(grid: Grid) -> tuple[Axis, ...]:
+    """The axes of a grid in storage order."""
+    return tuple(
+        Axis(name, np.asarray(nodes, np.float64), grid.periodic.get(name))
+        for name, nodes in grid.axes.items()
+    )
+
+
+def corners(places: Sequence[Place], shape: Sequence[int]) -> list[tuple[IndexArray, FloatArray]]:
+    """``(flat index, weight)`` of the 2^d corners of the cells that ``places`` (one per axis) lie in."""
+    strides = np.cumprod([1, *shape[:0:-1]])[::-1]
+    found: list[tuple[IndexArray, FloatArray]] = []
+    for sides in product((0, 1), repeat=len(places)):
+        index = np.zeros(places[0].low.shape, np.intp)
+        weight = np.ones(places[0].low.shape)
+        for side, place, stride in zip(sides, places, strides, strict=True):
+            index = index + (place.high if side else place.low) * stride
+            weight = weight * (place.fraction if side else 1.0 - place.fraction)
+        found.append((index, weight))
+    return found

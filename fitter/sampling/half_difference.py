@@ -1,0 +1,183 @@
+"""The field of a grid in half and difference angles, with the bound on cells of wo that it is not aligned with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.sampling.axes import Axis, Place, corners
+from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.maxima import BoxMaximum, WindowMaximum
+
+if TYPE_CHECKING:
+    from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+# Added to every reach: the rounding of angles from vectors.
+_SLACK = 1e-12
+
+
+class WeightedTable:
+    """What all incidences of one table and channel weighting share.
+
+    weighted : (N,) f+ at the nodes, NaN where masked. windows, boxes : largest node values over ranges of
+    phi_d at one (theta_h, theta_d), and over boxes of (theta_h, theta_d) and all phi_d.
+    """
+
+    def __init__(self, table: GridInterpolant, weights: FloatArray) -> None:
+        self.weights = weights
+        self.weighted = np.maximum(table.value, 0.0) @ weights
+        # Where a node is masked nothing is ever drawn, so it has no part in a maximum.
+        nodes = np.where(table.mask, self.weighted, 0.0).reshape(table.grid.shape)
+        self.weighted[~table.mask] = np.nan
+        axis = table.axes[2]
+        self.windows = WindowMaximum(nodes, axis.nodes, axis.period)
+        self.boxes = BoxMaximum(nodes.max(axis=2))
+
+
+class HalfDifferenceField:
+    """Trilinear in (theta_h, theta_d, phi_d), which are not aligned with the cells in wo."""
+
+    exact = False
+    # Square enough to begin with; everything else is refinement.
+    _BEGIN = (24, 96)
+
+    def __init__(self, part: HalfDifferenceSlice, weights: FloatArray) -> None:
+        self._table = part.interpolant
+        self._shared = self._table.weighted(weights)
+        self.extrapolated = part.extrapolated
+        theta_i, phi_i = directions.spherical_from_vector(part.wi)
+        self.rotation = float(phi_i)
+        self._wi = directions.vector_from_spherical(theta_i, 0.0)
+        self.clamps = self._table.has_negatives
+
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        return np.linspace(0, np.pi / 2, self._BEGIN[0] + 1), np.linspace(-np.pi, np.pi, self._BEGIN[1] + 1)
+
+    def _places(self, theta: FloatArray, phi: FloatArray) -> list[Place]:
+        wo = directions.vector_from_spherical(theta, phi)
+        coordinates = self._table.grid.locate(self._wi, wo)
+        return [axis.locate(x) for axis, x in zip(self._table.axes, coordinates, strict=True)]
+
+    def density(self, theta: FloatArray, phi: FloatArray, *, clamped: bool = True) -> FloatArray:
+        def look_up(index: IndexArray) -> FloatArray:
+            if clamped:
+                return self._shared.weighted[index]
+            return np.where(self._table.mask[index], self._table.value[index] @ self._shared.weights, np.nan)
+
+        return self._blend(self._places(theta, phi), look_up)
+
+    def values(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
+        def look_up(index: IndexArray) -> FloatArray:
+            usable = self._table.mask[index][:, None]
+            return np.where(usable, np.maximum(self._table.value[index], 0.0), np.nan)
+
+        return self._blend(self._places(theta, phi), look_up)
+
+    def _blend(self, places: list[Place], look_up: Callable[[IndexArray], FloatArray]) -> FloatArray:
+        total: FloatArray | float = 0.0
+        for index, weight in corners(places, self._table.grid.shape):
+            found = look_up(index)
+            total = total + (weight if found.ndim == 1 else weight[:, None]) * found
+        found = np.asarray(total)
+        found[~np.logical_and.reduce([place.measured for place in places])] = np.nan
+        return found
+
+    def bound(self, cells: FloatArray) -> FloatArray:
+        """Maximum of B over a box in (theta_h, theta_d, phi_d) that contains the image of the cell.
+
+        1. Radius. With c the cell's centre, every w of the cell has angle(w, c) <= r, where by the haversine
+           formula sin^2(r/2) = sin^2(dtheta/4) + sin(theta_c) sin(theta_1) sin^2(dphi/4), because
+           sin(theta) <= sin(theta_1) on the cell.
+        2. Difference angle. 2 theta_d = angle(wi, w), and by the triangle inequality
+           |angle(wi, w) - angle(wi, c)| <= angle(w, c) <= r: theta_d is within r/2 of its value at c.
+        3. Half vector. h = (wi + w)/|wi + w| and |wi + w| = 2 cos(theta_d). The derivative of v/|v| is a
+           projection over |v|, so |dh| <= |dw| / (2 cos(theta_d)). Along the great circle from c to w, of
+           length <= r, every point is within r of c, so theta_d <= theta_d(c) + r/2 by 2. Hence
+           angle(h, h(c)) <= reach_h = r / (2 cos(theta_d(c) + r/2)), and theta_h, the angle between h and the
+           normal n, is within reach_h of its value at c. Where theta_d(c) + r/2 >= pi/2 nothing is assumed.
+        4. Azimuth. phi_d is the azimuth of the fixed wi in the frame (e_x, e_y, h), e_y along n x h. When h
+           moves by dh the frame turns by d(phi_h) n + d(theta_h) e_y, whose part along h is at most
+           |dh| cot(theta_h) and across h at most |dh|; the azimuth of a fixed vector at polar angle theta_d
+           changes by at most the first plus cot(theta_d) times the second. So along the same path
+           |d(phi_d)| <= |dh| (cot(theta_h) + cot(theta_d)), both at their smallest angles of 2 and 3; where
+           one of those reaches 0 nothing is assumed of phi_d.
+        5. Values. B is the bilinear interpolant, in (theta_h, theta_d), of the largest node value over the
+           range of phi_d, the nodes around the range included. The field is an average, with those bilinear
+           weights, of interpolants in phi_d, each at most the largest of its nodes: field <= B. On a rectangle
+           inside one grid cell B is largest at a corner, so over a box with at most one node line inside in
+           each direction B is largest at one of the 3 x 3 points where the box's sides and those lines
+           cross; over a larger box the largest node around it, over all phi_d, bounds B.
+        """
+        theta0, theta1, phi0, phi1 = cells.T
+        centre_theta = 0.5 * (theta0 + theta1)
+        centre = directions.vector_from_spherical(centre_theta, 0.5 * (phi0 + phi1))
+        across = np.sin(centre_theta) * np.sin(theta1) * np.sin(0.25 * (phi1 - phi0)) ** 2
+        radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
+        theta_h, _, theta_d, phi_d = directions.half_difference_from_vectors(self._wi, centre)
+        reach_d = 0.5 * radius + _SLACK
+        steepest = theta_d + reach_d
+        safe = steepest < np.pi / 2 - 1e-6
+        reach_h = np.where(safe, 0.5 * radius / np.cos(np.where(safe, steepest, 0.0)), np.pi) + _SLACK
+        least_h, least_d = theta_h - reach_h, theta_d - reach_d
+        safe &= (least_h > 1e-6) & (least_d > 1e-6)
+        turning = 1 / np.tan(np.where(safe, least_h, 1.0)) + 1 / np.tan(np.where(safe, least_d, 1.0))
+        reach_phi = np.where(safe, reach_h * turning * (1 + 1e-9), np.inf)
+        axis_h, axis_d, _ = self._table.axes
+        span_h = Span(axis_h, theta_h - reach_h, theta_h + reach_h)
+        span_d = Span(axis_d, theta_d - reach_d, theta_d + reach_d)
+        most = self._shared.boxes(span_h.first, span_h.last, span_d.first, span_d.last)
+        small = np.flatnonzero(span_h.few & span_d.few)
+        span_h, span_d = span_h.take(small), span_d.take(small)
+        window = self._shared.windows.between(phi_d[small] - reach_phi[small], phi_d[small] + reach_phi[small])
+        nodes = [[window(i, j) for j in span_d.nodes] for i in span_h.nodes]
+        within = np.zeros(len(small))
+        for s in span_h.fractions:
+            rows = [sum(a * nodes[i][j] for i, a in enumerate(s)) for j in range(3)]
+            for t in span_d.fractions:
+                within = np.maximum(within, sum(b * rows[j] for j, b in enumerate(t)))
+        most[small] = within
+        return most * (1 + ROUNDING)
+
+
+class Span:
+    """Intervals on an axis. first, last : nodes that enclose each; few : at most one node strictly inside."""
+
+    def __init__(self, axis: Axis, low: FloatArray, high: FloatArray) -> None:
+        self._axis = axis
+        nodes, n = axis.nodes, len(axis.nodes)
+        self.low, self.high = np.clip(low, nodes[0], nodes[-1]), np.clip(high, nodes[0], nodes[-1])
+        self.first = np.clip(np.searchsorted(nodes, self.low, side="right") - 1, 0, n - 1)
+        self.last = np.clip(np.searchsorted(nodes, self.high, side="left"), 0, n - 1)
+        self.few = self.last - self.first <= 2
+
+    def take(self, index: IndexArray) -> Span:
+        """Only the intervals ``index``."""
+        return Span(self._axis, self.low[index], self.high[index])
+
+    @property
+    def nodes(self) -> list[IndexArray]:
+        """The (up to three different) nodes around intervals that hold at most one."""
+        n = len(self._axis.nodes)
+        return [np.minimum(self.first + k, n - 1) for k in range(3)]
+
+    @property
+    def fractions(self) -> list[list[FloatArray]]:
+        """Weights of the three nodes at both ends and at the node inside (or again at an end)."""
+        x = [self._axis.nodes[index] for index in self.nodes]
+        found: list[list[FloatArray]] = []
+        for point in (self.low, np.clip(x[1], self.low, self.high), self.high):
+            left = _ratio(point - x[0], x[1] - x[0])
+            right = _ratio(point - x[1], x[2] - x[1])
+            found.append([1 - left, left * (1 - right), right])
+        return found
+
+
+def _ratio(step: FloatArray, width: FloatArray) -> FloatArray:
+    return np.clip(np.where(width > 0, step / np.where(width > 0, width, 1.0), 0.0), 0.0, 1.0)
