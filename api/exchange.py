@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import orjson
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from api.problems import Problem
 from fitter import directions
 from fitter.documents import dumps
+
+if TYPE_CHECKING:
+    from fitter.sampling import Samples
 
 NPY = "application/x-npy"
 FloatArray = NDArray[np.float64]
@@ -113,6 +116,30 @@ def respond(
     buffer = BytesIO()
     npy.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
     return Response(buffer.getvalue(), media_type=NPY, headers=both)
+
+
+def respond_samples(request: Request, drawn: Samples, channels: Sequence[str]) -> Response:
+    """Draws as JSON, or as a structured array with the acceptance and the seed in headers."""
+    fields = ("wo", "pdf", "weight", "valid", "is_delta")
+    columns = {name: getattr(drawn, name) for name in fields}
+    array = np.zeros(len(drawn), [(name, c.dtype, c.shape[1:]) for name, c in columns.items()])
+    for name, column in columns.items():
+        array[name] = column
+    document = {"channels": list(channels), **columns, "acceptance": drawn.acceptance, "seed": drawn.seed}
+    headers = {"Sampling-Acceptance": f"{drawn.acceptance:.6g}", "Sampling-Seed": str(drawn.seed)}
+    return respond(request, document, array, headers)
+
+
+def checked_draws(wi: Sequence[float], n: int, limit: int) -> FloatArray:
+    """The one incidence (3,) of a request for ``n`` draws."""
+    if n > limit:
+        raise Problem.invalid(
+            "too-many-draws", f"{n} draws are more than the limit of {limit}", parameter="n",
+            remedy="ask several times, with other seeds",
+        )  # fmt: skip
+    incidence = checked(wi, "wi", 1)
+    above_horizon(incidence)
+    return incidence[0]
 
 
 def _is_npy(request: Request) -> bool:

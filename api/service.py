@@ -16,7 +16,7 @@ from api.problems import Problem
 from api.results import Results
 from api.rows import JobRow
 from api.settings import Settings
-from api.store import QueueFull, Store
+from api.store import Missing, QueueFull, Store
 from api.tables import OpenTables
 from api.work import Worker
 from fitter.errors import SpecError
@@ -61,8 +61,9 @@ class Service:
     def submit(self, job: JobRow) -> None:
         """Queue a job. Raises Problem: 404 where its table is gone, 429 where the queue is full."""
         try:
-            if not self.store.add_job(job, self.settings.max_queue):
-                raise Problem.not_found("table", job.table_id)
+            self.store.add_job(job, self.settings.max_queue)
+        except Missing as error:
+            raise Problem.not_found("table", job.table_id) from error
         except QueueFull as error:
             raise Problem(
                 429, "queue-full", f"{self.settings.max_queue} jobs are waiting already",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 import uuid
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,9 @@ from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, ModelRow,
 _R = TypeVar("_R", bound=Row)
 
 
+_ID = re.compile("[0-9a-f]{32}")
+
+
 def new_id() -> str:
     """A random id: it says nothing about what it names, and can't be guessed."""
     return uuid.uuid4().hex
@@ -25,6 +29,14 @@ def new_id() -> str:
 
 class QueueFull(Exception):
     """As many jobs wait as the server lets wait."""
+
+
+class Missing(Exception):
+    """There is no such row."""
+
+
+class InUse(Exception):
+    """A waiting or running job needs the row."""
 
 
 class Store:
@@ -68,6 +80,9 @@ class Store:
             session.add(row)
 
     def get(self, kind: type[_R], id: str) -> _R | None:
+        """The row of that id; None too for text that can't be an id."""
+        if not _ID.fullmatch(id):
+            return None
         with self.reading() as session:
             return session.get(kind, id)
 
@@ -82,31 +97,35 @@ class Store:
 
     # Tables -----------------------------------------------------------------------------------------
 
-    def delete_table(self, id: str) -> tuple[TableRow, bool] | None:
-        """The deleted row, and whether its blob is now nobody's; None where a job still needs it."""
+    def delete_table(self, id: str) -> str | None:
+        """Delete the row; the hash of its blob where that is now nobody's.
+
+        Raises Missing where there is no such row, InUse where a job still needs it.
+        """
         with self.writing() as session:
-            row = session.get_one(TableRow, id, with_for_update=True)
+            row = session.get(TableRow, id, with_for_update=True) if _ID.fullmatch(id) else None
+            if row is None:
+                raise Missing
             busy = select(JobRow.id).where(JobRow.table_id == id, JobRow.state.in_((QUEUED, RUNNING)))
             if session.scalar(busy.limit(1)):
-                return None
+                raise InUse
             session.delete(row)
             session.flush()
             used = session.scalar(select(TableRow.id).where(TableRow.sha256 == row.sha256).limit(1))
-            return row, used is None
+            return row.sha256 if used is None else None
 
     # Jobs -------------------------------------------------------------------------------------------
 
-    def add_job(self, job: JobRow, max_queue: int) -> bool:
-        """Queue it; False where its table was deleted meanwhile. Raises QueueFull."""
+    def add_job(self, job: JobRow, max_queue: int) -> None:
+        """Queue it. Raises Missing where its table was deleted meanwhile, and QueueFull."""
         with self.writing() as session:
             # The lock keeps the table from being deleted between this look and the insertion.
             if session.get(TableRow, job.table_id, with_for_update=True) is None:
-                return False
+                raise Missing
             waiting = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state == QUEUED))
             if (waiting or 0) >= max_queue:
                 raise QueueFull
             session.add(job)
-        return True
 
     def claim(self) -> JobRow | None:
         """The oldest waiting job, now running under a new attempt."""

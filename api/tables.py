@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 import fitter
 from api.blobs import Blobs
@@ -16,7 +19,9 @@ from fitter.errors import TableError
 from fitter.formats.read_options import read_options
 
 if TYPE_CHECKING:
-    from fitter.sampling import TableSampler
+    from fitter.sampling import Samples, TableSampler
+
+FloatArray = NDArray[np.float64]
 
 
 def parse(path: Path, options: dict[str, Any]) -> fitter.Table:
@@ -40,12 +45,17 @@ class Opened:
         self._lock = threading.Lock()
         self._sampler: TableSampler | None = None
 
-    @property
-    def sampler(self) -> TableSampler:
+    def sample(
+        self, wi: FloatArray, n: int, seed: int, weights: Sequence[float] | None, allow_extrapolated: bool
+    ) -> Samples:
+        """Draws from the table. The lock is there because a sampler keeps envelopes from call to call."""
+        if weights is not None:
+            sampler = fitter.TableSampler(self.table, weights=weights)
+            return sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated)
         with self._lock:
             if self._sampler is None:
                 self._sampler = fitter.TableSampler(self.table)
-            return self._sampler
+            return self._sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated)
 
 
 class OpenTables:

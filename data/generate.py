@@ -40,7 +40,7 @@ def stream(seed: int, *key: int) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Scan:
-    """One incidence: nominal angles in degrees, receivers (R, 2) as (theta_o, phi_o) in the order measured."""
+    """One incidence: nominal angles in degrees; receivers (R, 2), (theta_o, phi_o) in the order measured."""
 
     number: int
     theta_i: float
@@ -166,7 +166,8 @@ def header(name: str, table: dict[str, Any]) -> list[str]:
         "scale_uncertainty": instrument["scale_uncertainty"],
         "aperture_deg": instrument["aperture_deg"],
         "angle_uncertainty_deg": instrument["angle_uncertainty_deg"],
-        "provenance": "virtual gonioreflectometer over an explicit rough surface, data/generate.py; not a real material",
+        "provenance": "virtual gonioreflectometer over an explicit rough surface, data/generate.py; "
+        "not a real material",
         "licence": "CC0-1.0",
     }
     columns = ["theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg", *(f"brdf_{c}" for c in CHANNELS)]
@@ -232,7 +233,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.check:
         wrong = check()
-        print(f"differs from SHA256SUMS: {', '.join(wrong)}" if wrong else "all checksums match", file=sys.stderr)
+        verdict = f"differs from SHA256SUMS: {', '.join(wrong)}" if wrong else "all checksums match"
+        print(verdict, file=sys.stderr)
         return int(bool(wrong))
     if options.quick:
         new, committed = quick()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Rays per vectorised block: its working arrays (about 20 x 8 bytes a ray) then stay in the processor's cache.
+#: Rays per vectorised block: its working arrays (about 20 x 8 bytes a ray) then stay in the cache.
 BLOCK = 16_384
 #: Compact a block when fewer than this share of its rays are still under way.
 COMPACT_BELOW = 0.75

@@ -42,8 +42,8 @@ _LAZY = {
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
-    "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "report", "sampling",
-    "spec", "table",
+    "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "report",
+    "sampling", "spec", "table",
 )  # fmt: skip
 
 

@@ -357,11 +357,13 @@ class Table:
         # Out of plane where the triple product n . (wi x wo) is not zero.
         out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
         azimuth = phi_i if self.symmetry == "anisotropic" else np.zeros_like(phi_i)
-        incident = np.round(np.stack([theta_i, np.where(theta_i > 1e-6, azimuth, 0.0)], axis=1), 5)
+        # One integer per incidence: unique rows of a million-row array take a second.
+        azimuth = np.where(theta_i > SAME_DIRECTION, azimuth, 0.0)
+        key = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000 + np.rint(azimuth * 1e5).astype(np.int64)
         return Domain(
             theta_i=(float(theta_i.min()), float(theta_i.max())),
             theta_o=(float(theta_o.min()), float(theta_o.max())),
-            incidences=len(np.unique(incident, axis=0)),
+            incidences=len(np.unique(key)),
             in_plane=bool(out_of_plane.max() < 1e-3),
         )
 

@@ -18,7 +18,13 @@ from fitter.errors import FitError, FitterError, SpecError
 
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
-    "info", "fit", "posterior", "compress", "decompress", "sample", "models",
+    "info",
+    "fit",
+    "posterior",
+    "compress",
+    "decompress",
+    "sample",
+    "models",
 )
 _VERBS = (
     "info", "fit", "posterior", "report", "compress", "decompress", "sample", "models", "datasets", "serve",

@@ -12,6 +12,7 @@ from fitter.cli.values import pair
 from fitter.errors import SpecError, TableError
 
 if TYPE_CHECKING:
+    from fitter.compression import CompressedTable
     from fitter.formats import ReadOptions
     from fitter.table import Table
 
@@ -29,14 +30,20 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         "--convention", choices=tuple(CONVENTIONS), metavar="NAME",
         help="; ".join(f"{name}: {meaning}" for name, meaning in CONVENTIONS.items()),
     )  # fmt: skip
-    group.add_argument("--item", help="which table of a file that holds several: its name, or its position from 0")
+    group.add_argument(
+        "--item", help="which table of a file that holds several: its name, or its position from 0"
+    )
     group.add_argument(
         "--column", type=pair, action="append", default=[], metavar="NAME=MEANING",
-        help="what a column of a text table means, as thetai=theta_i_deg or 5=brdf_R; NAME is a header's name "
-        "or a position from 0 (repeatable)",
+        help="what a column of a text table means, as thetai=theta_i_deg or 5=brdf_R; NAME is a header's "
+        "name or a position from 0 (repeatable)",
     )  # fmt: skip
-    group.add_argument("--negatives", choices=("mask", "keep"), help="negative values: mask (default) or keep")
-    group.add_argument("--duplicates", choices=("mask", "keep"), help="repeated geometries: mask (default) or keep")
+    group.add_argument(
+        "--negatives", choices=("mask", "keep"), help="negative values: mask (default) or keep"
+    )
+    group.add_argument(
+        "--duplicates", choices=("mask", "keep"), help="repeated geometries: mask (default) or keep"
+    )
 
 
 def reading_options(given: argparse.Namespace) -> ReadOptions:
@@ -52,10 +59,18 @@ def reading_options(given: argparse.Namespace) -> ReadOptions:
 
 @dataclass(frozen=True)
 class Opened:
-    """A table and where it came from, so that a result can say it."""
+    """A table and where it came from, so that a result can say it; ``small`` where it was compressed."""
 
     table: Table
     source: Mapping[str, Any]
+    small: CompressedTable | None = None
+
+    def compressed_to(self, tolerance: float) -> Opened:
+        """The same, compressed to a relative error bound; the source says so."""
+        from fitter.compression import compress
+
+        small = compress(self.table, tolerance)
+        return Opened(small.decompress(), {**self.source, "compressed_to": tolerance}, small)
 
 
 def open_table(path: str | Path, options: ReadOptions) -> Opened:
@@ -69,7 +84,8 @@ def open_table(path: str | Path, options: ReadOptions) -> Opened:
                 "a compressed table takes no reading options", code="bad-option", file=str(path),
                 remedy="leave them out: they were given when it was compressed",
             )  # fmt: skip
-        return Opened(open_container(path).decompress(), source)
+        small = open_container(path)
+        return Opened(small.decompress(), source, small)
     return Opened(load(path, **options.to_dict()), source)
 
 
@@ -84,7 +100,7 @@ def is_container(path: str | Path) -> bool:
         return False  # whoever reads it as a table says what is wrong with it
 
 
-def open_container(path: str | Path) -> Any:
+def open_container(path: str | Path) -> CompressedTable:
     """The compressed table at ``path``. Raises TableError, also where it can't be read at all."""
     from fitter.compression import CompressedTable
 
@@ -124,6 +140,8 @@ def table_of(
             remedy="name it with --table",
         )  # fmt: skip
     opened = open_table(path, options)
+    if "compressed_to" in remembered:
+        opened = opened.compressed_to(remembered["compressed_to"])
     if opened.table.hash != described.get("hash"):
         raise SpecError(
             f"{path} is not the table that this result was made from", code="table-differs", file=str(result),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,9 +54,15 @@ def load_result(path: str | Path, model: str | None = None) -> FitResult:
         return results[0]
     names = ", ".join(result.spec.model.name for result in load_results(path))
     raise SpecError(
-        f"the file holds fits of {names}, and one is needed", code="which-fit", file=str(path), parameter="model",
-        remedy="name one with --model",
+        f"the file holds fits of {names}, and one is needed", code="which-fit", file=str(path),
+        parameter="model", remedy="name one with --model",
     )  # fmt: skip
+
+
+def best(results: Sequence[FitResult]) -> FitResult:
+    """The fit with the smallest objective, converged ones first; relative rmse where metrics differ."""
+    metric = "objective" if len({result.table.get("metric") for result in results}) == 1 else "relative_rmse"
+    return min(results, key=lambda result: (result.status != "converged", result.metrics[metric]))
 
 
 def show_fit(result: FitResult, screen: Screen) -> None:

@@ -72,15 +72,15 @@ class Screen:
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-        from rich.text import Text
 
         bars = Progress(
-            TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
-            TimeElapsedColumn(), TextColumn("{task.fields[now]}", markup=False),
+            TextColumn("{task.description}", markup=False), BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn(),
+            TextColumn("{task.fields[now]}", markup=False),
             console=Console(file=self.stderr, force_terminal=True),
         )  # fmt: skip
         with bars:
-            task = bars.add_task(what, total=1.0, now=Text(""))
+            task = bars.add_task(what, total=1.0, now="")
 
             def report(done: float, now: str) -> None:
                 bars.update(task, completed=done, now=now)

@@ -6,6 +6,7 @@ channels of a sample first, since the channels of one sample share its errors.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,10 +40,12 @@ class Natural:
     unidentified: tuple[int, ...]
 
 
-def natural(layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[int], samples: int) -> Natural:
+def natural(
+    layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[int], samples: int, likelihood: bool
+) -> Natural:
     """Estimates and covariance of one group from the vector p and its normal equations.
 
-    ``normal.scores`` empty means that the metric is the likelihood.
+    ``likelihood`` : whether the metric is the likelihood; the sandwich is used where it is not.
     """
     t, c = len(layout.free), len(channels)
     family, spec = layout.family, layout.spec
@@ -54,19 +57,11 @@ def natural(layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[in
         *((name, None if shared else channels[0]) for name in layout.free),
     ]
 
-    def to_natural(vector: Array) -> Array:
-        u, b = vector[:t], vector[t:].reshape(-1, c)
-        found = family.linear_from(spec, list(b))
-        nonlinear = layout.nonlinear(u)
-        parts = [found[name] for name in linear] + [nonlinear[name][None] for name in layout.free]
-        return jnp.concatenate(parts)
-
-    values = np.asarray(to_natural(jnp.asarray(p)))
-    jacobian = np.asarray(jax.jacfwd(to_natural)(jnp.asarray(p)))
+    values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
     lower, upper = bounds(layout, len(p))
     reach = 1e-9 * (1.0 + np.abs(p))
     free = (p > lower + reach) & (p < upper - reach)
-    cov, open_directions = _inverse(normal, free, samples)
+    cov, open_directions = _inverse(normal, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
     at_bound: list[str | None] = []
     for (name, _), value in zip(labels, values, strict=True):
@@ -86,8 +81,31 @@ def natural(layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[in
     return Natural(tuple(labels), values, spread, tuple(at_bound), tuple(unidentified))
 
 
-def _inverse(normal: Normal, free: NDArray[np.bool_], samples: int) -> tuple[FloatArray, FloatArray]:
-    """Covariance (P, P) of the vector, zero for what sits on a bound, and the open directions (P, m)."""
+@functools.partial(jax.jit, static_argnames=("layout", "c"))
+def _to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
+    """The parameters in their own units (Q,), linear ones first, and their derivatives (Q, P)."""
+    t = len(layout.free)
+
+    def convert(vector: Array) -> tuple[Array, Array]:
+        u, b = vector[:t], vector[t:].reshape(-1, c)
+        found = layout.family.linear_from(layout.spec, list(b))
+        nonlinear = layout.nonlinear(u)
+        table = layout.family.parameter_table(layout.spec)
+        parts = [found[q.name] for q in table if q.linear] + [nonlinear[name][None] for name in layout.free]
+        values = jnp.concatenate(parts)
+        return values, values
+
+    jacobian, values = jax.jacfwd(convert, has_aux=True)(p)
+    return values, jacobian
+
+
+def _inverse(
+    normal: Normal, free: NDArray[np.bool_], samples: int | None
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance (P, P) of the vector, zero for what sits on a bound, and the open directions (P, m).
+
+    ``samples`` : their number, for the sandwich; None for the curvature alone.
+    """
     size = len(free)
     cov = np.zeros((size, size))
     where = np.flatnonzero(free)
@@ -98,7 +116,7 @@ def _inverse(normal: Normal, free: NDArray[np.bool_], samples: int) -> tuple[Flo
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     weak = values < SINGULAR * max(values.max(initial=0.0), 1e-300)
     pseudo = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
-    if normal.scores.size:
+    if samples is not None:
         meat = normal.scores[np.ix_(where, where)] * (samples / max(1, samples - len(where)))
         pseudo = pseudo @ meat @ pseudo
     cov[np.ix_(where, where)] = pseudo

@@ -21,9 +21,9 @@ from fitter.fitting import nlopt_solver, search
 from fitter.fitting.covariance import Natural, natural
 from fitter.fitting.layout import Layout, layout, order_lobes, per_channel
 from fitter.fitting.metrics import linearised_weight
-from fitter.fitting.polish import Polished, normal_equations, polish
+from fitter.fitting.polish import Polished, polish
 from fitter.fitting.result import Estimate, FitResult
-from fitter.fitting.samples import Usable, usable
+from fitter.fitting.samples import BLOCK, Usable, usable
 from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
 
@@ -123,15 +123,16 @@ def _solve(
 ) -> _Group:
     floor = data.floor[list(group)]
     index, scale = data.subset(request.subset, request.seed)
-    blocks = data.blocks(group, index, scale)
-    pair = jnp.concatenate([b.pair for b in blocks], axis=1)
-    y = jnp.concatenate([b.y for b in blocks])
-    weight = linearised_weight(metric, y, jnp.concatenate([b.weight for b in blocks]), jnp.asarray(floor))
+    # A power of two, so that few lengths are compiled for.
+    size = max(1024, 1 << (len(index) - 1).bit_length())
+    part = data.part(group, index, size, scale)
+    weight = np.asarray(linearised_weight(metric, part.y, part.weight, floor))
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
-    basins, evidence = finder(places, pair, y, weight, request.starts, request.seed)
+    basins, evidence = finder(places, part.pair, part.y, weight, request.starts, request.seed)
     clock.lap("search")
 
     # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
+    blocks = [data.part(group, index, max(BLOCK, size), scale)]
     ends = [
         polish(places, metric, floor, np.concatenate([b.u, b.coefficients.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
@@ -149,10 +150,8 @@ def _solve(
             f"the objective of {request.model.name} is not finite", code="not-finite",
             cause="values near the limits of floating point", remedy="rescale the table's values",
         )  # fmt: skip
-    normal = end.normal
-    if metric != "measurement":
-        normal = normal_equations(places, metric, floor, end.p, full, with_scores=True)
-    estimates = natural(places, end.p, normal, [data.channels[c] for c in group], len(data))
+    positions = [data.channels[c] for c in group]
+    estimates = natural(places, end.p, end.normal, positions, len(data), metric == "measurement")
     clock.lap("uncertainty")
     return _Group(end, estimates, evidence, len(index))
 

@@ -13,8 +13,10 @@ measurement:
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -66,6 +68,7 @@ def residual(metric: Metric, f: Array, y: Array, weight: Array, floor: Array) ->
     return Residual(value, weight / (3.0 * jnp.maximum(root * root, 1e-300)))
 
 
+@functools.partial(jax.jit, static_argnames="metric")
 def linearised_weight(metric: Metric, y: Array, weight: Array, floor: Array) -> Array:
     """Weight of the quadratic objective that the metric is near its optimum: the slope at f = y."""
     if metric in QUADRATIC:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 
 from fitter.errors import FitError, SpecError
@@ -16,20 +14,20 @@ from fitter.spec import Metric, Select
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
+#: Samples a block holds. One length for all, so that one program serves every table.
 BLOCK = 65_536
-SMALLEST_BLOCK = 1_024
 
 
 @dataclass(frozen=True)
 class Block:
-    """Samples padded to one of few lengths, so that few programs are compiled; padding has weight 0.
+    """Samples padded to BLOCK; padding has weight 0.
 
     pair : (6, B) components of wi and wo. y, weight : (B, C). count : samples that are not padding.
     """
 
-    pair: Array
-    y: Array
-    weight: Array
+    pair: FloatArray
+    y: FloatArray
+    weight: FloatArray
     count: int
 
 
@@ -52,34 +50,32 @@ class Usable:
     def __len__(self) -> int:
         return self.pair.shape[1]
 
-    def blocks(self, channels: Sequence[int], index: NDArray[np.intp] | None = None, scale: FloatArray | None = None) -> list[Block]:
-        """Blocks of the channels (positions among the selected), of the samples ``index`` (default all).
+    def part(
+        self, channels: Sequence[int], rows: slice | NDArray[np.intp], size: int, scale: FloatArray | None = None
+    ) -> Block:
+        """The samples ``rows`` of the channels (positions among the selected), padded to ``size``.
 
-        ``scale`` (n,) multiplies the squared residuals of the samples of a weighted subset.
+        ``scale`` multiplies the squared residuals of the samples of a weighted subset.
         """
-        found: list[Block] = []
-        total = len(self) if index is None else len(index)
         picked = list(channels)
         # Basic slices of whole columns are views; a list of channels would copy the table.
         columns: slice | list[int] = slice(None) if picked == list(range(self.value.shape[1])) else picked
-        for start in range(0, total, BLOCK):
-            rows: slice | NDArray[np.intp] = slice(start, min(start + BLOCK, total))
-            count = rows.stop - rows.start
-            size = max(SMALLEST_BLOCK, 1 << (count - 1).bit_length()) if count < BLOCK else BLOCK
-            if index is not None:
-                rows = index[rows]
-            weight = self.weight[rows][:, columns]
-            if scale is not None:
-                weight = weight * np.sqrt(scale[start : start + count])[:, None]
-            found.append(
-                Block(
-                    pair=jnp.asarray(_padded(self.pair[:, rows].T, size, edge=True).T),
-                    y=jnp.asarray(_padded(self.value[rows][:, columns], size)),
-                    weight=jnp.asarray(_padded(weight, size)),
-                    count=count,
-                )
-            )
-        return found
+        weight = self.weight[rows][:, columns]
+        if scale is not None:
+            weight = weight * np.sqrt(scale)[:, None]
+        return Block(
+            pair=_padded(self.pair[:, rows].T, size, edge=True).T,
+            y=_padded(self.value[rows][:, columns], size),
+            weight=_padded(weight, size),
+            count=len(weight),
+        )
+
+    def blocks(self, channels: Sequence[int]) -> list[Block]:
+        """All samples of the channels."""
+        return [
+            self.part(channels, slice(start, min(start + BLOCK, len(self))), BLOCK)
+            for start in range(0, len(self), BLOCK)
+        ]
 
     def subset(self, size: int, seed: int) -> tuple[NDArray[np.intp], FloatArray]:
         """Indices and weights of a systematic sample, half uniform, half by weighted squared value.
@@ -168,5 +164,5 @@ def _padded(array: FloatArray, size: int, edge: bool = False) -> FloatArray:
     """(size, m) with rows of zeros, or of the last row, behind those of ``array``."""
     missing = size - len(array)
     if not missing:
-        return np.ascontiguousarray(array)
+        return array
     return np.pad(array, ((0, missing), (0, 0)), mode="edge" if edge else "constant")

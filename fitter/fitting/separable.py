@@ -42,6 +42,7 @@ def non_negative(gram: Array, rhs: Array) -> Array:
     return solve(supports[jax.lax.stop_gradient(best)]) / scale
 
 
+@functools.partial(jax.jit, static_argnames="layout")
 def coefficients(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """The best coefficients (K, C) at search coordinates u, for y and weight (n, C)."""
     terms = layout.terms(u, pair)
@@ -53,6 +54,7 @@ def coefficients(layout: Layout, u: Array, pair: Array, y: Array, weight: Array)
     return jax.vmap(one, in_axes=1, out_axes=1)(y, weight)
 
 
+@functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
     b = coefficients(layout, u, pair, y, weight)

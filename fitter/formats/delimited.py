@@ -114,7 +114,7 @@ def _quantity(
             "sigma columns don't match the value columns", "table-columns", column="sigma",
             remedy="give one sigma_<channel> for each value column, or declare them as 'ignore'",
         )  # fmt: skip
-    named = {c.quantity for c in [*values, *sigmas] if c.quantity}
+    named: set[Quantity] = {c.quantity for c in [*values, *sigmas] if c.quantity}
     stated = cast("Quantity | None", head.stated.get("quantity"))
     chosen = options.quantity or stated
     if chosen is None and len(named) > 1:

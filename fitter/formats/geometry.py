@@ -125,10 +125,10 @@ def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: st
     else:
         if convention not in ("forward", "back"):
             raise source.error(
-                "the table has no azimuths and does not say on which side of the normal theta_o counts",
+                "the table has no azimuths and does not say on which side theta_o is",
                 "table-convention", parameter="convention",
-                remedy="give convention='forward' when mirror reflection is at theta_o = theta_i, 'back' when "
-                "theta_o = theta_i looks back to the light; or add a column phi_o_deg or dphi_deg",
+                remedy="give convention='forward' when mirror reflection is at theta_o = theta_i, 'back' "
+                "when it looks back to the light; or add a column phi_o_deg or dphi_deg",
             )  # fmt: skip
         if convention == "forward":
             phi_o = phi_o + np.pi
@@ -171,7 +171,7 @@ def from_vectors(
     pair: list[FloatArray] = []
     for name, given in zip(names, (wi, wo), strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
-            length = np.sqrt((given * given).sum(axis=1))
+            length: FloatArray = np.sqrt((given * given).sum(axis=1))
         wrong = np.isfinite(given).all(axis=1) & ~(np.abs(length - 1.0) < 1e-2)
         if wrong.any():
             k = int(np.argmax(wrong))
@@ -180,11 +180,12 @@ def from_vectors(
                 cause="the columns are not components of a direction", remedy="give unit vectors",
             )  # fmt: skip
         # Only what rounding has spoilt is touched, so that full-precision tables come back bit by bit.
-        rounded = np.abs(length - 1.0) > 1e-9
+        rounded: NDArray[np.bool_] = np.abs(length - 1.0) > 1e-9
         if rounded.any():
             notes.append(f"{int(rounded.sum())} vectors of {name} were scaled to unit length.")
             given = np.where(rounded[:, None], given / np.where(rounded, length, 1.0)[:, None], given)
-        pair.append(np.where(np.isfinite(given).all(axis=1)[:, None], given, np.nan))
+        known = np.isfinite(given[:, 0] + given[:, 1] + given[:, 2])
+        pair.append(np.where(known[:, None], given, np.nan))
     return Geometry(pair[0], pair[1], "vectors", tuple(notes))
 
 

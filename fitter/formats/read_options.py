@@ -15,13 +15,16 @@ Treatment = Literal["mask", "keep"]
 CONVENTIONS: Mapping[str, str] = {
     "phi_specular_180": "ideal mirror reflection is at phi_o - phi_i = 180 deg (azimuths of both "
     "directions measured alike; the default)",
-    "phi_specular_0": "ideal mirror reflection is at phi_o - phi_i = 0: the file measures the outgoing azimuth "
+    "phi_specular_0": "ideal mirror reflection is at phi_o - phi_i = 0: the outgoing azimuth counts "
     "from the forward side",
     "forward": "in-plane table without azimuths: theta_o of the same sign as theta_i is the specular side",
     "back": "in-plane table without azimuths: theta_o of the same sign as theta_i is the side of the light",
     "center": "MERL: a value belongs to the centre of its cell in index space (the default)",
     "corner": "MERL: a value belongs to the lower corner of its cell",
 }
+
+
+_COLUMNS_REMEDY = 'give a mapping, as {"thetai": "theta_i_deg", "5": "brdf_R"}'
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,11 @@ class ReadOptions:
         _check("negatives", self.negatives, get_args(Treatment))
         _check("duplicates", self.duplicates, get_args(Treatment))
         # bool is an int to Python, not to someone who writes JSON.
-        if isinstance(self.item, bool) or not isinstance(self.item, str | int | None):
+        item = cast("object", self.item)  # callers pass on what JSON holds
+        if isinstance(item, bool) or not isinstance(item, str | int | None):
             raise _bad("item", self.item, "give the item's name or its position from 0")
-        if not isinstance(self.name, str | None):
+        name = cast("object", self.name)
+        if not isinstance(name, str | None):
             raise _bad("name", self.name, "give a text")
 
     def to_dict(self) -> dict[str, Any]:
@@ -83,21 +88,19 @@ def read_options(mapping: Mapping[str, Any]) -> ReadOptions:
 def _pairs(columns: object) -> tuple[tuple[str, str], ...]:
     if columns is None:
         return ()
-    remedy = 'give a mapping, as {"thetai": "theta_i_deg", "5": "brdf_R"}'
     if isinstance(columns, Mapping):
-        given = list(cast("Mapping[object, object]", columns).items())
-    elif isinstance(columns, tuple | list):
-        given = [tuple(cast("tuple[object, object]", pair)) for pair in cast("list[object]", columns)]  # type: ignore[arg-type]
-    else:
-        raise _bad("columns", columns, remedy)
-    pairs: list[tuple[str, str]] = []
-    for pair in given:
-        if len(pair) != 2 or not isinstance(pair[1], str) or isinstance(pair[0], bool):
-            raise _bad("columns", pair, remedy)
-        if not isinstance(pair[0], str | int):
-            raise _bad("columns", pair, remedy)
-        pairs.append((str(pair[0]), pair[1]))
-    return tuple(pairs)
+        columns = tuple(cast("Mapping[object, object]", columns).items())
+    if not isinstance(columns, tuple):
+        raise _bad("columns", columns, _COLUMNS_REMEDY)
+    return tuple(_pair(entry) for entry in cast("tuple[object, ...]", columns))
+
+
+def _pair(entry: object) -> tuple[str, str]:
+    if isinstance(entry, tuple) and len(cast("tuple[object, ...]", entry)) == 2:
+        column, meaning = cast("tuple[object, object]", entry)
+        if isinstance(column, str | int) and not isinstance(column, bool) and isinstance(meaning, str):
+            return str(column), meaning
+    raise _bad("columns", entry, _COLUMNS_REMEDY)
 
 
 def _check(name: str, given: object, allowed: tuple[str, ...], *, optional: bool = False) -> None:

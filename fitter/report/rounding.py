@@ -56,7 +56,9 @@ def at_place_of(value: float, uncertainty: float) -> str:
 
 
 def percent(share: float, digits: int = 2) -> str:
-    """A relative quantity as a percentage, "—" where it is not finite."""
+    """A relative quantity in words: a percentage, or a factor from ten times on; "—" where not finite."""
+    if math.isfinite(share) and share >= 10:
+        return f"a factor {significant(share, digits)}"
     return f"{significant(100 * share, digits)} %" if math.isfinite(share) else NOT_STATED
 
 

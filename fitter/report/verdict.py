@@ -51,18 +51,21 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
         caution.append(
             f"The model misses the table by {percent(relative)} (relative rmse, more than {percent(LARGE_MISFIT)})."
         )
+    r2 = fit["metrics"].get("r2")
+    if r2 is not None and r2 < 0:
+        bad.append(f"A constant would describe the table better than this model (R² = {significant(r2, 3)}).")
     birge = _birge(record)
     if birge is not None and birge > LARGE_BIRGE:
         caution.append(f"The residuals are {significant(birge, 2)} times the stated measurement uncertainty.")
     for state in ("on its lower bound", "on its upper bound"):
-        labels = [row["label"] for row in rows if row["state"] == state]
+        labels = [row["display"] for row in rows if row["state"] == state]
         if labels:
             verb = "lies" if len(labels) == 1 else "lie"
             bound = state.removeprefix("on its ")
             caution.append(f"{_listed(labels)} {verb} on the {bound}: no symmetric uncertainty can be stated.")
-    barely = [row["label"] for row in rows if row["barely_determined"]]
+    barely = [row["display"] for row in rows if row["barely_determined"]]
     if barely:
-        caution.append(f"{_listed(barely)} {'is' if len(barely) == 1 else 'are'} barely determined (u is more than half the estimate).")
+        caution.append(f"{_listed(barely)} {_be(barely)} barely determined (u is more than half the estimate).")
     caution += record["correlation"]["in_words"][:3]
     if posterior is not None and posterior["status"] != "converged":
         caution.append(f"The posterior did not converge: {_stop(posterior['message'])}")
@@ -104,8 +107,8 @@ def _parameters(record: Record) -> str:
     free = [row for row in parameters["rows"] if row["state"] != "fixed"]
     fixed = len(parameters["rows"]) - len(free)
     stated = [row for row in free if row["standard_uncertainty"] is not None and row["state"] == "estimated"]
-    open_ = [row["label"] for row in free if row["state"] == "not identified"]
-    bound = [row["label"] for row in free if row["state"].startswith("on its")]
+    open_ = [row["display"] for row in free if row["state"] == "not identified"]
+    bound = [row["display"] for row in free if row["state"].startswith("on its")]
     parts: list[str] = []
     if len(stated) == len(free):
         every = "the free parameter is" if len(free) == 1 else f"all {len(free)} free parameters are"
@@ -115,7 +118,7 @@ def _parameters(record: Record) -> str:
         if bound:
             parts.append(f"{_listed(bound)} {'lies' if len(bound) == 1 else 'lie'} on a bound")
         if open_:
-            parts.append(f"{_listed(open_)} {'is' if len(open_) == 1 else 'are'} not identified by this table")
+            parts.append(f"{_listed(open_)} {_be(open_)} not identified by this table")
     if fixed:
         parts.append(f"{fixed} {'is' if fixed == 1 else 'are'} fixed")
     shares = [(row["standard_uncertainty"] / abs(row["estimate"]), row) for row in stated if row["estimate"]]
@@ -123,7 +126,7 @@ def _parameters(record: Record) -> str:
         _, worst = max(shares, key=lambda pair: pair[0])
         text, k = worst["text"], parameters["coverage_factor"]
         parts.append(
-            f"the least well known is {worst['label']}, estimate y = {text['estimate']} with standard uncertainty "
+            f"the least well known is {worst['display']}, estimate y = {text['estimate']} with standard uncertainty "
             f"u = {text['standard_uncertainty']} and expanded uncertainty U = k u = {text['expanded_uncertainty']} "
             f"(k = {k:g})"
         )
@@ -161,6 +164,10 @@ def _listed(labels: Sequence[str]) -> str:
     if len(labels) > MOST_NAMED:
         return f"{', '.join(labels[:MOST_NAMED])} and {len(labels) - MOST_NAMED} more"
     return " and ".join([", ".join(labels[:-1]), labels[-1]] if len(labels) > 1 else labels)
+
+
+def _be(labels: Sequence[str]) -> str:
+    return "is" if len(labels) == 1 else "are"
 
 
 def _number(x: float | None) -> float:

@@ -50,7 +50,8 @@ class CellEnvelope:
             if float(waste.sum()) <= allowed or len(rectangles) >= most:
                 break
             # Splitting only what is above its fair share lets the work go where the field is steep.
-            split = waste > max(0.5 * allowed / len(rectangles), 1e-9 * float(envelope.sum()) / len(rectangles))
+            fair = max(0.5 * allowed, 1e-9 * float(envelope.sum())) / len(rectangles)
+            split = waste > fair
             room = most - len(rectangles)
             if np.count_nonzero(split) > room:
                 worst = np.argpartition(waste, -room)[-room:]

@@ -68,7 +68,8 @@ class GridInterpolant:
         return self._weighted
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"grid": self.grid, "value": self.value, "mask": self.mask, "axes": self.axes, "_weighted": None}
+        kept = ("grid", "value", "mask", "axes")  # what was computed from them is computed again
+        return {**{name: vars(self)[name] for name in kept}, "_weighted": None}
 
     @cached_property
     def _nearest(self) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""The field of a grid in half and difference angles, with the bound on cells of wo that it is not aligned with."""
+"""The field of a grid in half and difference angles, with the bound on cells in wo."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ class HalfDifferenceField:
            one of those reaches 0 nothing is assumed of phi_d.
         5. Values. B is the bilinear interpolant, in (theta_h, theta_d), of the largest node value over the
            range of phi_d, the nodes around the range included. The field is an average, with those bilinear
-           weights, of interpolants in phi_d, each at most the largest of its nodes: field <= B. On a rectangle
-           inside one grid cell B is largest at a corner, so over a box with at most one node line inside in
-           each direction B is largest at one of the 3 x 3 points where the box's sides and those lines
-           cross; over a larger box the largest node around it, over all phi_d, bounds B.
+           weights, of interpolants in phi_d, each at most the largest of its nodes: field <= B. On a
+           rectangle inside one grid cell B is largest at a corner, so over a box with at most one node line
+           inside in each direction B is largest at one of the 3 x 3 points where the box's sides and those
+           lines cross; over a larger box the largest node around it, over all phi_d, bounds B.
         """
         theta0, theta1, phi0, phi1 = cells.T
         centre_theta = 0.5 * (theta0 + theta1)
@@ -135,7 +135,8 @@ class HalfDifferenceField:
         most = self._shared.boxes(span_h.first, span_h.last, span_d.first, span_d.last)
         small = np.flatnonzero(span_h.few & span_d.few)
         span_h, span_d = span_h.take(small), span_d.take(small)
-        window = self._shared.windows.between(phi_d[small] - reach_phi[small], phi_d[small] + reach_phi[small])
+        phi_d, reach_phi = phi_d[small], reach_phi[small]
+        window = self._shared.windows.between(phi_d - reach_phi, phi_d + reach_phi)
         nodes = [[window(i, j) for j in span_d.nodes] for i in span_h.nodes]
         within = np.zeros(len(small))
         for s in span_h.fractions:

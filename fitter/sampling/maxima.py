@@ -31,8 +31,9 @@ class BoxMaximum:
             for b in range(1, levels[1]):
                 half = 1 << (b - 1)
                 left = self._sparse[a, b - 1]
+                joined = np.maximum(left[:, : columns - half], left[:, half:])
                 self._sparse[a, b] = left
-                self._sparse[a, b, :, : columns - half] = np.maximum(left[:, : columns - half], left[:, half:])
+                self._sparse[a, b, :, : columns - half] = joined
 
     def __call__(self, i0: IndexArray, i1: IndexArray, j0: IndexArray, j1: IndexArray) -> FloatArray:
         """(K,) maxima over rows i0..i1 and columns j0..j1, both included."""

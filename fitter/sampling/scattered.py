@@ -1,10 +1,12 @@
 """The interpolant of a scattered table: triangulated scans, shifted between incidences.
 
 At a measured incidence f_r is piecewise linear on the Delaunay triangulation of the scattered directions in
-the projected disk. Between incidences the scans around wi are shifted in the disk so that their specular
-directions fall on that of wi, and blended linearly: scatter depends on direction cosines mostly through the
-distance from the specular direction (J. E. Harvey and R. V. Shack 1978, "Aberrations of diffracted wave
-fields"), so a lobe moves instead of being doubled.
+the projected disk. Between incidences the scans around wi are shifted in the disk so that their features fall
+together, and blended linearly, so that a peak moves instead of being doubled. Scatter depends on direction
+cosines mostly through the distance from the specular direction (J. E. Harvey and R. V. Shack 1978, "Aberrations
+of diffracted wave fields"); the peak of a retro-reflector moves the other way, a diffuse surface's values stay
+where they are. Which of the three a table follows is decided by the table: the one with which neighbouring
+scans predict each other best.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ IndexArray = NDArray[np.intp]
 # Incidences closer than this on the disk are one scan: gonioreflectometers repeat to about 1e-4.
 _SAME_SCAN = 1e-3
 _CHUNK = 1 << 17
+# Pairs of neighbouring scans that are compared to find out how features move.
+_PAIRS = 32
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,39 @@ class ScatteredInterpolant:
     scans: tuple[Scan, ...]
     isotropic: bool
 
+    @cached_property
+    def motion(self) -> int:
+        """How features follow wi on the disk: -1 with the specular direction, 1 with wi itself, 0 not at all."""
+        wasted = dict.fromkeys((-1, 0, 1), 0.0)
+        for a, b in self._neighbours():
+            for scan, other in ((self.scans[a], self.scans[b]), (self.scans[b], self.scans[a])):
+                shift = other.incidence - scan.incidence
+                found = {m: scan.evaluate(other.points - m * shift) for m in wasted}
+                common = np.logical_and.reduce([inside for _, inside in found.values()])
+                for m, (value, _) in found.items():
+                    wasted[m] += float(np.abs(value - other.value)[common].sum())
+        return min(wasted, key=lambda m: wasted[m])
+
+    def _neighbours(self) -> list[tuple[int, int]]:
+        if self._mesh is not None:
+            triangles = self._mesh.simplices
+            edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+            pairs_of = np.unique(np.sort(edges, axis=1), axis=0)
+        else:
+            pairs_of = np.stack([np.arange(len(self.scans) - 1), np.arange(1, len(self.scans))], axis=1)
+        # A few dozen pairs decide as well as all.
+        step = max(1, len(pairs_of) // _PAIRS)
+        return [(int(a), int(b)) for a, b in pairs_of[::step]]
+
+    def shift(self, wi: FloatArray, scan: Scan) -> FloatArray:
+        """(M, 2) by how much ``scan`` is shifted on the disk for incidences wi (M, 2); 0 where they agree."""
+        shift = self.motion * (wi - scan.incidence)
+        return np.where(np.hypot(shift[:, :1], shift[:, 1:]) <= SAME_ANGLE, 0.0, shift)
+
     @classmethod
-    def build(cls, wi: FloatArray, wo: FloatArray, value: FloatArray, *, isotropic: bool) -> ScatteredInterpolant:
+    def build(
+        cls, wi: FloatArray, wo: FloatArray, value: FloatArray, *, isotropic: bool
+    ) -> ScatteredInterpolant:
         """From usable samples: wi, wo (N, 3), value (N, C).
 
         Isotropic tables are turned so that wi has azimuth 0 and, where only one side of the plane of
@@ -94,8 +129,8 @@ class ScatteredInterpolant:
             nodes = np.arcsin(np.clip(self._incidences[:, 0], 0.0, 1.0))
             above = np.clip(np.searchsorted(nodes, theta), 1, max(len(nodes) - 1, 1))
             low, high = above - 1, np.minimum(above, len(nodes) - 1)
-            width = nodes[high] - nodes[low]
-            t = np.clip(np.where(width > 0, (theta - nodes[low]) / np.where(width > 0, width, 1.0), 0.0), 0.0, 1.0)
+            width = np.where(nodes[high] > nodes[low], nodes[high] - nodes[low], np.inf)
+            t = np.clip((theta - nodes[low]) / width, 0.0, 1.0)
             index[:, 0], index[:, 1] = low, high
             weight[:, 0], weight[:, 1] = 1.0 - t, t
             measured = (theta >= nodes[0] - _SAME_SCAN) & (theta <= nodes[-1] + _SAME_SCAN)
@@ -145,7 +180,7 @@ class ScatteredInterpolant:
             for which in np.unique(index[used, k]):
                 scan = self.scans[which]
                 mine = np.flatnonzero(used & (index[:, k] == which))
-                shift = _shift(wi[mine, :2], scan)
+                shift = self.shift(wi[mine, :2], scan)
                 found, inside = scan.evaluate(wo[mine, :2] - shift)
                 total[mine] += weight[mine, k, None] * found
                 extrapolated[mine] |= ~inside
@@ -159,7 +194,7 @@ class ScatteredInterpolant:
             w, _ = _turned(w, w)
         index, weight, measured = self.around(w)
         parts = tuple(
-            Part(float(a), self.scans[k], _shift(w[:, :2], self.scans[k])[0])
+            Part(float(a), self.scans[k], self.shift(w[:, :2], self.scans[k])[0])
             for k, a in zip(index[0], weight[0], strict=True)
             if a > 0
         )
@@ -206,9 +241,3 @@ def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
         np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in (wi, wo)
     ]
     return cast("tuple[FloatArray, FloatArray]", tuple(turned))
-
-
-def _shift(wi: FloatArray, scan: Scan) -> FloatArray:
-    """(M, 2) from the scan's specular direction, -incidence, to those of wi (M, 2); 0 where they agree."""
-    shift = scan.incidence - wi
-    return np.where(np.hypot(shift[:, :1], shift[:, 1:]) <= SAME_ANGLE, 0.0, shift)

@@ -191,7 +191,8 @@ class TableSampler:
 
 
 def _check_count(n: int, most: int | None) -> None:
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n <= 0 or (most is not None and n > most):
+    whole = isinstance(n, int | np.integer) and not isinstance(n, bool)
+    if not whole or n <= 0 or (most is not None and n > most):
         limit = f" and at most {most}" if most is not None else ""
         raise SpecError(
             f"the number of directions must be a positive integer{limit}, not {n!r}", code="bad-count",

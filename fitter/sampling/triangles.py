@@ -1,9 +1,9 @@
 """The envelope of a slice of a scattered table: linear densities on triangles of the projected disk.
 
-cos(theta) dw = dx dy, so f+ cos(theta) is, on the disk, a sum over scans of functions that are linear on each
-triangle. A candidate takes a (scan, triangle, corner) with probability proportional to its exact mass and then
-barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to that corner's hat: together
-exactly the sum. Only what falls outside the region that all scans of the blend cover is rejected.
+cos(theta) dw = dx dy, so f+ cos(theta) is, on the disk, a sum over scans of functions that are linear on
+each triangle. A candidate takes a (scan, triangle, corner) with probability proportional to its exact mass
+and then barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to that corner's hat:
+together exactly the sum. Only what falls outside the region that all scans of the blend cover is rejected.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ class TriangleEnvelope:
         # One scan as measured: every draw is inside. Else the region all scans cover, cut at the horizon.
         self._whole = len(part.parts) == 1 and not np.any(part.parts[0].shift)
         if self._whole:
-            integral, signed, region = drawn, float((area * np.concatenate(raw).mean(axis=1)).sum()), float(area.sum())
+            integral, region = drawn, float(area.sum())
+            signed = float((area * np.concatenate(raw).mean(axis=1)).sum())
         else:
             polygon = self._region()
             integral = _integral(self._corners, self._value, polygon)
@@ -55,7 +56,7 @@ class TriangleEnvelope:
         if not integral > 0:
             raise TableError(
                 "nothing can be drawn: the table's values are all zero or missing at this incidence",
-                code="slice-empty", cause="a blind region, or neighbouring scans that cover different directions",
+                code="slice-empty", cause="a blind region, or neighbouring scans that cover different parts",
                 remedy="choose another incidence; the table's info lists its domain",
             )  # fmt: skip
         self.info = SliceInfo(
@@ -82,7 +83,7 @@ class TriangleEnvelope:
         random = rng.random((4, m))
         chosen = np.searchsorted(self._cumulative, random[0] * self._cumulative[-1], side="right")
         triangle, corner = np.divmod(np.minimum(chosen, len(self._cumulative) - 1), 3)
-        # Spacings of three ordered uniform numbers are Dirichlet(1, 1, 1, 1); two of them added make (2, 1, 1).
+        # Spacings of three ordered uniform numbers are Dirichlet(1, 1, 1, 1); two of them added: (2, 1, 1).
         ordered = np.sort(random[1:], axis=0)
         share = np.empty((m, 3))
         rows = np.arange(m)
@@ -149,7 +150,7 @@ def _distances(points: FloatArray, polygon: FloatArray) -> FloatArray:
 
 
 def _clip(polygon: FloatArray, convex: FloatArray) -> FloatArray:
-    """Part of a polygon (n, d) inside a convex one (m, 2): Sutherland-Hodgman, columns beyond 2 carried along."""
+    """Part of a polygon (n, d) inside a convex one (m, 2), Sutherland-Hodgman; columns beyond 2 go along."""
     edge = np.roll(convex, -1, axis=0) - convex
     for start, along in zip(convex, edge, strict=True):
         if len(polygon) == 0:

@@ -153,8 +153,9 @@ def test_fresnel_agrees_with_the_oracle(kind: str, shared: Path) -> None:
 @pytest.mark.parametrize("kind", ["lambert", "dielectric", "conductor"])
 def test_energy_is_kept(kind: str, theta_i: float) -> None:
     """A surface that absorbs nothing gives everything back; one that absorbs, less than its facets would."""
-    white = Facet.create(kind, albedo=1.0, eta=1e-9 if kind == "conductor" else 1.5, k=5.0 * (kind == "conductor"))
-    grey = Facet.create(kind, albedo=0.5, eta=1.5, k=5.0 * (kind == "conductor"))
+    metal = kind == "conductor"
+    white = Facet.create(kind, albedo=1.0, eta=1e-9 if metal else 1.5, k=5.0 * metal)
+    grey = Facet.create(kind, albedo=0.5, eta=1.5, k=5.0 * metal)
     field, wi = rough(0.6), generate.vector(theta_i, 0.0)
     light = illuminate(field, white, wi, 4_000, rng(9), spin=True)
     assert np.all(np.abs(light.albedo - 1.0) < 4.0 * light.albedo_error + 1e-6)
@@ -183,7 +184,8 @@ def test_source_and_receiver_can_be_exchanged(kind: str) -> None:
     field = rough(0.35, skew=-0.3)
     values, errors = [], []
     for theta_i, theta_o in ((20.0, 55.0), (55.0, 20.0)):
-        wi, wo = generate.vector(theta_i, 0.0), generate.vector(np.full(3, theta_o), np.array([40.0, 120.0, 180.0]))
+        wi = generate.vector(theta_i, 0.0)
+        wo = generate.vector(np.full(3, theta_o), np.array([40.0, 120.0, 180.0]))
         value, error = read(field, facet, wi, wo, 150_000 if kind == "dielectric" else 20_000, 4_000)
         values.append(value)
         errors.append(error)

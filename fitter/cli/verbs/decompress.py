@@ -23,8 +23,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     table = small.decompress()
     write_delimited(table, out)
     document = {
-        "kind": "brdf-fitter/decompressed", "path": str(out), "samples": len(table), "tolerance": small.tolerance,
-        "hash": table.hash, "source_hash": small.source_hash,
+        "kind": "brdf-fitter/decompressed", "path": str(out), "samples": len(table),
+        "tolerance": small.tolerance, "hash": table.hash, "source_hash": small.source_hash,
     }  # fmt: skip
     return Outcome(document, lambda screen: screen.line(f"{out}: {len(table):,} samples"))
 

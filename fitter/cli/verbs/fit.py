@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
@@ -50,8 +52,12 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         "--bounds", type=named_range, action="append", default=[], metavar="NAME=LOW,HIGH",
         help="narrow a nonlinear parameter's range, in every model that has it (repeatable)",
     )  # fmt: skip
-    parser.add_argument("--theta-i-max", type=float, metavar="DEG", help="leave out samples lit from beyond this")
-    parser.add_argument("--theta-o-max", type=float, metavar="DEG", help="leave out samples seen from beyond this")
+    parser.add_argument(
+        "--theta-i-max", type=float, metavar="DEG", help="leave out samples lit from beyond this"
+    )
+    parser.add_argument(
+        "--theta-o-max", type=float, metavar="DEG", help="leave out samples seen from beyond this"
+    )
     parser.add_argument("--channels", type=_names, metavar="NAME,...", help="fit these channels only")
     parser.add_argument("--starts", type=int, metavar="N", help="starting points of the global search")
     parser.add_argument(
@@ -116,35 +122,14 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
-    from fitter.cli.results import FITS, file_name, remember, show_fit
+    from fitter.cli.results import FITS, file_name, show_fit
 
     out = None if given.out is None else output_folder(given.out)
-    options = reading.reading_options(given)
-    opened = reading.open_table(given.table, options)
-    start_numerics(screen)
-    from fitter.compression import compress
-    from fitter.fitting import fit
-
-    source = dict(opened.source)
-    table: Any = opened.table
+    opened = reading.open_table(given.table, reading.reading_options(given))
     if given.compress is not None:
-        table = compress(opened.table, given.compress)
-        source["compressed_to"] = given.compress
-    results: list[FitResult] = []
-    failures: list[dict[str, Any]] = []
-    for spec in specs(given):
-        name = spec.model.name
-        try:
-            with screen.progress(name) as progress:
-                result = remember(fit(table, spec, progress=progress), source)
-        except FitError as error:
-            # The other models may well fit: this one's failure is a result of its own.
-            screen.note(f"error: {name}: {error}")
-            failures.append({"model": name, "error": error.to_dict()})
-            continue
-        results.append(result)
-        if out is not None:
-            result.save(out / file_name(name))
+        opened = opened.compressed_to(given.compress)
+    start_numerics(screen)
+    results, failures = fit_all(opened, specs(given), out, screen)
 
     def show(screen: Screen) -> None:
         for result in results:
@@ -160,6 +145,31 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     else:
         document = {"kind": FITS, "fits": [result.to_dict() for result in results], "failures": failures}
     return Outcome(document, show, WORK_FAILED if failures else DONE)
+
+
+def fit_all(
+    opened: reading.Opened, wanted: Sequence[FitSpec], out: Path | None, screen: Screen
+) -> tuple[list[FitResult], list[dict[str, Any]]]:
+    """The fits that worked, each written to ``out`` as soon as it is there, and the failures of the others."""
+    from fitter.cli.results import file_name, remember
+    from fitter.fitting import fit
+
+    results: list[FitResult] = []
+    failures: list[dict[str, Any]] = []
+    for spec in wanted:
+        name = spec.model.name
+        try:
+            with screen.progress(name) as progress:
+                result = remember(fit(opened.small or opened.table, spec, progress=progress), opened.source)
+        except FitError as error:
+            # The other models may well fit: this one's failure is a result of its own.
+            screen.note(f"error: {name}: {error}")
+            failures.append({"model": name, "error": error.to_dict()})
+            continue
+        results.append(result)
+        if out is not None:
+            result.save(out / file_name(name))
+    return results, failures
 
 
 def epilog() -> str:

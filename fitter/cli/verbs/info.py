@@ -48,7 +48,8 @@ def _show(described: dict[str, Any], screen: Screen) -> None:
         columns = ("lit from deg", "largest on the specular side", "largest on the retro side")
         sides = ("specular_side", "retro_side")
         screen.table(
-            columns, [[number(p["theta_i_deg"]), *(_peak(p[side]) for side in sides)] for p in described["peaks"]]
+            columns,
+            [[number(p["theta_i_deg"]), *(_peak(p[side]) for side in sides)] for p in described["peaks"]],
         )
 
 

@@ -11,7 +11,10 @@ from fitter.cli.verb import Outcome, Verb
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "model", nargs="*", metavar="MODEL", help="short names, as ward:bounded or lafortune:2 (default: all families)"
+        "model",
+        nargs="*",
+        metavar="MODEL",
+        help="short names, as ward:bounded or lafortune:2 (default: all families)",
     )
 
 

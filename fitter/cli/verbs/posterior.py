@@ -31,11 +31,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("result", metavar="RESULT.json", help="a fit that `fit` wrote or printed")
     parser.add_argument("--model", metavar="NAME", help="which fit, where the file holds several")
-    parser.add_argument("--table", metavar="TABLE", help="the table, where it is not where it was when fitted")
+    parser.add_argument(
+        "--table", metavar="TABLE", help="the table, where it is not where it was when fitted"
+    )
     parser.add_argument(
         "--noise", choices=("table", "inferred"),
-        help="take the table's sigma as it is, or infer a relative noise and a floor (default: table where it "
-        "states sigma, else inferred)",
+        help="take the table's sigma as it is, or infer a relative noise and a floor (default: table where "
+        "it states sigma, else inferred)",
     )  # fmt: skip
     for name, what in SETTINGS.items():
         default = PosteriorSpec.model_fields[name].default
@@ -84,7 +86,11 @@ def show_posterior(posterior: Posterior, screen: Screen) -> None:
     )
     rows: list[list[str]] = []
     for label, interval in posterior.intervals().items():
-        row = [label, *(number(interval[key]) for key in ("median", "lower", "upper")), number(interval["sd"], 2)]
+        row = [
+            label,
+            *(number(interval[key]) for key in ("median", "lower", "upper")),
+            number(interval["sd"], 2),
+        ]
         diagnostic = posterior.diagnostics.get(label)
         row += ["-", "-"] if diagnostic is None else [f"{diagnostic.rhat:.4f}", f"{diagnostic.ess_bulk:,.0f}"]
         rows.append(row)

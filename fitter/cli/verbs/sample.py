@@ -21,12 +21,23 @@ MOST_PRINTED = 100_000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("table", nargs="?", metavar="TABLE", help="draw from this measured table, exactly, by rejection")
+    parser.add_argument(
+        "table", nargs="?", metavar="TABLE", help="draw from this measured table, exactly, by rejection"
+    )
     parser.add_argument("--model", metavar="RESULT.json", help="draw from this fitted model instead")
     parser.add_argument("--theta-i", type=float, required=True, metavar="DEG", help="incident polar angle")
-    parser.add_argument("--phi-i", type=float, default=0.0, metavar="DEG", help="incident azimuth (default: 0)")
+    parser.add_argument(
+        "--phi-i", type=float, default=0.0, metavar="DEG", help="incident azimuth (default: 0)"
+    )
     parser.add_argument("-n", "--count", type=int, required=True, metavar="N", help="how many directions")
-    parser.add_argument("--seed", type=int, required=True, metavar="S", help="the same seed gives the same draws")
+    parser.add_argument(
+        "--seed", type=int, required=True, metavar="S", help="the same seed gives the same draws"
+    )
+    parser.add_argument(
+        "--extrapolate",
+        action="store_true",
+        help="also for an incidence that was not measured, from the nearest",
+    )
     parser.add_argument("--out", metavar="FILE", help="write the draws, by the name's end as .npz or .csv")
     reading.add_reading_options(parser)
 
@@ -49,7 +60,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         from fitter.sampling import TableSampler
 
         opened = reading.open_table(given.table, reading.reading_options(given))
-        drawn = TableSampler(opened.table).sample(wi, given.count, seed=given.seed)
+        drawn = TableSampler(opened.table).sample(
+            wi, given.count, seed=given.seed, allow_extrapolated=given.extrapolate
+        )
         channels = tuple(channel.name for channel in opened.table.channels)
         origin = {"table": opened.table.metadata.name, "path": given.table}
     albedo = drawn.weight.mean(axis=0)
@@ -75,7 +88,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         }  # fmt: skip
 
     def show(screen: Screen) -> None:
-        estimate = ", ".join(f"{name} {number(float(a), 4)}" for name, a in zip(channels, albedo, strict=True))
+        estimate = ", ".join(
+            f"{name} {number(float(a), 4)}" for name, a in zip(channels, albedo, strict=True)
+        )
         fields = {
             "drawn": f"{len(drawn):,} directions, {int(drawn.valid.sum()):,} above the horizon",
             "acceptance": number(drawn.acceptance, 4),
@@ -89,7 +104,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 def _checked(given: argparse.Namespace) -> Path | None:
     """The output file of a call that makes sense. Raises SpecError."""
     if (given.table is None) == (given.model is None):
-        raise SpecError("give a TABLE or --model RESULT.json, one of them", code="bad-call", parameter="table")
+        raise SpecError(
+            "give a TABLE or --model RESULT.json, one of them", code="bad-call", parameter="table"
+        )
     if not 0 <= given.theta_i < 90:
         raise SpecError(
             f"--theta-i is {given.theta_i:g}", code="bad-call", parameter="theta_i",
@@ -97,10 +114,15 @@ def _checked(given: argparse.Namespace) -> Path | None:
         )  # fmt: skip
     if not -360 <= given.phi_i <= 360:
         raise SpecError(
-            f"--phi-i is {given.phi_i:g}", code="bad-call", parameter="phi_i", remedy="give degrees, -360 to 360"
+            f"--phi-i is {given.phi_i:g}",
+            code="bad-call",
+            parameter="phi_i",
+            remedy="give degrees, -360 to 360",
         )
     if not 0 <= given.seed < 2**63:
-        raise SpecError(f"--seed is {given.seed}", code="bad-call", parameter="seed", remedy="give 0 to 2^63 - 1")
+        raise SpecError(
+            f"--seed is {given.seed}", code="bad-call", parameter="seed", remedy="give 0 to 2^63 - 1"
+        )
     if given.out is None:
         if given.json and given.count > MOST_PRINTED:
             raise SpecError(
@@ -125,8 +147,8 @@ def _write(drawn: Samples, channels: tuple[str, ...], path: Path) -> None:
     if path.suffix == ".npz":
         binary = io.BytesIO()
         np.savez(
-            binary, wo=drawn.wo, pdf=drawn.pdf, weight=drawn.weight, valid=drawn.valid, is_delta=drawn.is_delta,
-            acceptance=drawn.acceptance, channels=np.array(channels),
+            binary, wo=drawn.wo, pdf=drawn.pdf, weight=drawn.weight, valid=drawn.valid,
+            is_delta=drawn.is_delta, acceptance=drawn.acceptance, channels=np.array(channels),
         )  # fmt: skip
         write_bytes(binary.getvalue(), path)
         return

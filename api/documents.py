@@ -1,0 +1,83 @@
+"""Documents: rows as the answers show them, with their links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow
+
+
+def when(seconds: float) -> str:
+    """ISO 8601, UTC, to the millisecond."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def page(items: Sequence[dict[str, Any]], total: int, limit: int, offset: int) -> dict[str, Any]:
+    """Part of a list."""
+    return {"items": list(items), "total": total, "limit": limit, "offset": offset}
+
+
+def table(row: TableRow) -> dict[str, Any]:
+    here = f"/v1/tables/{row.id}"
+    links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "samples", "slices")}}
+    return {
+        "id": row.id, "name": row.name, "created": when(row.created), "sha256": row.sha256, "bytes": row.size,
+        "options": row.options, "description": row.description, "links": links,
+    }  # fmt: skip
+
+
+def job(row: JobRow) -> dict[str, Any]:
+    here = f"/v1/jobs/{row.id}"
+    links = {"self": here, "events": f"{here}/events", "table": f"/v1/tables/{row.table_id}"}
+    if row.state in (QUEUED, RUNNING):
+        links["cancel"] = f"{here}/cancel"
+    return {
+        "id": row.id, "kind": row.kind, "state": row.state,
+        "progress": {"share": row.share, "what": row.what}, "attempt": row.attempt, "table": row.table_id,
+        "request": row.request, "created": when(row.created),
+        "started": None if row.started is None else when(row.started),
+        "finished": None if row.finished is None else when(row.finished),
+        "results": [_result(one) for one in row.results], "problem": row.problem, "links": links,
+    }  # fmt: skip
+
+
+def model(row: ModelRow) -> dict[str, Any]:
+    return {
+        "id": row.id, "origin": row.origin, "name": row.name, "created": when(row.created),
+        "spec": row.document["spec"], "channels": row.document["channels"], "values": row.document["values"],
+        "links": _model_links(row),
+    }  # fmt: skip
+
+
+def fit(row: ModelRow) -> dict[str, Any]:
+    return {
+        "id": row.id, "model": row.name, "created": when(row.created), "table": row.table_id,
+        "job": row.job_id, **(row.summary or {}), "links": fit_links(row),
+    }  # fmt: skip
+
+
+def fit_links(row: ModelRow) -> dict[str, str]:
+    """Links of a fit: its table, its model and what can be asked of it."""
+    here = f"/v1/fits/{row.id}"
+    return {
+        "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
+        "model": f"/v1/models/{row.id}", "report": f"{here}/report.html", "report_json": f"{here}/report.json",
+    }  # fmt: skip
+
+
+def _model_links(row: ModelRow) -> dict[str, str]:
+    here = f"/v1/models/{row.id}"
+    links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "sample", "pdf", "albedo")}}
+    return {**links, "fit": f"/v1/fits/{row.id}"} if row.origin == "fit" else links
+
+
+def _result(one: dict[str, Any]) -> dict[str, Any]:
+    if "id" not in one:
+        return one
+    here = f"/v1/{one['kind']}s/{one['id']}"
+    links = {"self": here}
+    if one["kind"] == "fit":
+        links |= {"model": f"/v1/models/{one['id']}", "report": f"{here}/report.html"}
+    return {**one, "links": links}

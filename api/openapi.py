@@ -1,0 +1,70 @@
+"""OpenAPI: what the framework can't know about bodies that are arrays, files or problems."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
+
+from api.exchange import NPY
+from api.problems import MEDIA_TYPE
+
+_VECTOR = {
+    "type": "array", "items": {"type": "number", "minimum": -1.01, "maximum": 1.01}, "minItems": 3, "maxItems": 3
+}  # fmt: skip
+_VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1}]}
+_EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
+_BINARY = {"type": "string", "format": "binary"}
+
+
+def array_request(*names: str) -> dict[str, Any]:
+    """A body of direction arrays, JSON or ``.npy``."""
+    schema = {
+        "type": "object", "required": list(names), "properties": dict.fromkeys(names, _VECTORS),
+        "additionalProperties": False,
+    }  # fmt: skip
+    shape = "(2, M, 3): wi, then wo" if len(names) == 2 else "(M, 3)"
+    content = {
+        "application/json": {"schema": schema, "example": {name: _EXAMPLES[name] for name in names}},
+        NPY: {"schema": {**_BINARY, "description": f"float64 or float32, {shape}"}},
+    }
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def array_response(kind: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+    """The 200 answer: JSON of that schema, or ``.npy``."""
+    content = {NPY: {"schema": _BINARY}}
+    return {200: {"model": kind, "description": "As JSON, or `.npy` where Accept prefers it", "content": content}}
+
+
+def upload_request() -> dict[str, Any]:
+    """The body of an upload: the bytes themselves, or a form."""
+    form = {"type": "object", "required": ["file"], "properties": {"file": _BINARY}, "additionalProperties": False}
+    content = {
+        "application/octet-stream": {"schema": _BINARY}, "text/plain": {"schema": {"type": "string"}},
+        "multipart/form-data": {"schema": form},
+    }  # fmt: skip
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def install(app: FastAPI) -> None:
+    """Make the application's schema say that every error is a problem document."""
+
+    def schema() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            made = get_openapi(
+                title=app.title, version=app.version, summary=app.summary, description=app.description,
+                routes=app.routes,
+            )  # fmt: skip
+            for path in made["paths"].values():
+                for operation in path.values():
+                    for status, answer in operation["responses"].items():
+                        if int(status) >= 400:
+                            content = answer["content"]
+                            content[MEDIA_TYPE] = content.pop("application/json")
+            app.openapi_schema = made
+        return app.openapi_schema
+
+    app.openapi = schema  # type: ignore[method-assign]

@@ -1,0 +1,45 @@
+"""Reports: made once for each fit and its latest posterior, then kept."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Literal
+
+from api.problems import Problem
+from api.rows import ModelRow, PosteriorRow, TableRow
+from api.service import Service
+from fitter.documents import dumps
+
+Kind = Literal["json", "html"]
+
+
+def report(here: Service, row: ModelRow, kind: Kind) -> bytes:
+    """The report of a fit. Raises Problem (409) where it needs a table that was deleted."""
+    latest, _ = here.store.page(PosteriorRow, 1, 0, PosteriorRow.fit_id == row.id)
+    posterior_id = latest[0].id if latest else None
+    # The latest finished posterior is part of the report, so its id names the file that keeps it.
+    name = posterior_id or row.id
+    with here.report_lock:
+        kept = here.results.report(name, kind)
+        if kept is None:
+            _make(here, row, posterior_id, name)
+            kept = here.results.report(name, kind)
+    assert kept is not None
+    return kept
+
+
+def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> None:
+    table_row = here.store.get(TableRow, row.table_id or "")
+    if table_row is None:
+        raise Problem(
+            409, "table-gone", "the table of this fit was deleted, and a report shows it",
+            remedy="read the fit itself, or upload the table and fit again",
+        )  # fmt: skip
+    from fitter.fitting import FitResult
+    from fitter.posterior import Posterior
+
+    fit = FitResult.from_dict(here.results.read(row.id))
+    posterior = None if posterior_id is None else Posterior.from_dict(here.results.read(posterior_id))
+    made: Any = importlib.import_module("fitter.report").build(here.tables.open(table_row).table, fit, posterior)
+    here.results.write_report(name, "json", dumps(made.to_dict()))
+    here.results.write_report(name, "html", made.html().encode())

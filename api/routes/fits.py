@@ -1,0 +1,123 @@
+"""Fits and posteriors: ask for them, list them, read them, and their reports."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from api import documents, schemas
+from api.problems import Problem
+from api.reports import Kind, report
+from api.routes import Limit, Offset, problems
+from api.rows import JobRow, ModelRow, PosteriorRow, TableRow
+from api.service import Here, Service
+from api.store import new_id
+from fitter.documents import dumps
+from fitter.errors import SpecError
+from fitter.spec import fit_spec
+
+router = APIRouter(prefix="/v1", tags=["fits"])
+
+
+@router.post(
+    "/fits", status_code=202, response_model=schemas.JobDocument, responses=problems(400, 404, 413, 422, 429)
+)
+def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dict[str, Any]:
+    """Fit one model, or several, to a table. The answer is a job; when done it links one fit a model."""
+    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"}, exclude_unset=True)
+    chosen = wanted.models if wanted.models is not None else [wanted.model]
+    if (wanted.model is None) == (wanted.models is None):
+        raise SpecError(
+            "exactly one of model and models is needed", code="bad-spec", parameter="model",
+            remedy='give "model": "ward", or "models": ["ward", "lafortune:2"]',
+        )  # fmt: skip
+    specs = [
+        fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
+        for one in chosen if one is not None
+    ]  # fmt: skip
+    request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
+    return _start(here, response, "fit", wanted.table, request)
+
+
+@router.post(
+    "/posteriors", status_code=202, response_model=schemas.JobDocument,
+    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+)  # fmt: skip
+def start_posterior(wanted: schemas.PosteriorRequest, here: Here, response: Response) -> dict[str, Any]:
+    """Sample the posterior of a finished fit. The answer is a job."""
+    row = fit_row(here, wanted.fit)
+    assert row.table_id is not None
+    if here.store.get(TableRow, row.table_id) is None:
+        raise Problem(
+            409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
+        )
+    spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
+    return _start(here, response, "posterior", row.table_id, {"fit": row.id, "spec": spec})
+
+
+@router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
+def fits(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+    """The finished fits, newest first."""
+    rows, total = here.store.page(ModelRow, limit, offset, ModelRow.origin == "fit")
+    return documents.page([documents.fit(row) for row in rows], total, limit, offset)
+
+
+@router.get("/fits/{id}", response_model=schemas.FitDocument, responses=problems(404, 422))
+def fit(id: str, here: Here) -> Response:
+    """The whole result: a file of it is what `brdf-fitter posterior`, `report` and `sample` take."""
+    row = fit_row(here, id)
+    made, _ = here.store.page(PosteriorRow, 100, 0, PosteriorRow.fit_id == id)
+    document = here.results.read(id)
+    added = {"id": id, "posteriors": [one.id for one in made], "links": documents.fit_links(row)}
+    return Response(dumps({**document, **added}), media_type="application/json")
+
+
+@router.get("/fits/{id}/report.json", responses=problems(404, 409, 422))
+def report_json(id: str, here: Here) -> dict[str, Any]:
+    """The report as a record, with the latest posterior of the fit when there is one."""
+    return _report(here, id, "json")  # type: ignore[return-value]  # a Response passes through unchanged
+
+
+@router.get(
+    "/fits/{id}/report.html", response_class=Response,
+    responses={**problems(404, 409, 422), 200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+)  # fmt: skip
+def report_html(id: str, here: Here) -> Response:
+    """The report as one self-contained page."""
+    return _report(here, id, "html")
+
+
+@router.get(
+    "/posteriors/{id}", response_model=schemas.PosteriorDocument, responses=problems(404, 422), tags=["posteriors"]
+)
+def posterior(id: str, here: Here) -> Response:
+    """The whole posterior: draws, credible intervals, diagnostics."""
+    row = here.store.get(PosteriorRow, id)
+    if row is None:
+        raise Problem.not_found("posterior", id)
+    links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
+    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+
+
+def fit_row(here: Service, id: str) -> ModelRow:
+    """The row of a fit. Raises Problem (404)."""
+    row = here.store.get(ModelRow, id)
+    if row is None or row.origin != "fit":
+        raise Problem.not_found("fit", id)
+    return row
+
+
+def _start(here: Service, response: Response, kind: str, table: str, request: dict[str, Any]) -> dict[str, Any]:
+    if here.store.get(TableRow, table) is None:
+        raise Problem.not_found("table", table)
+    job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)
+    here.submit(job)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return documents.job(job)
+
+
+def _report(here: Service, id: str, kind: Kind) -> Response:
+    content = report(here, fit_row(here, id), kind)
+    return Response(content, media_type={"json": "application/json", "html": "text/html"}[kind])

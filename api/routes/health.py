@@ -1,0 +1,43 @@
+"""Health: is the server there, can it work, what has it done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+from sqlalchemy.exc import SQLAlchemyError
+
+import fitter
+from api import metrics, schemas
+from api.problems import Problem
+from api.routes import problems
+from api.service import Here
+
+router = APIRouter(tags=["health"])
+
+
+@router.get("/healthz", response_model=schemas.Health)
+def healthz() -> dict[str, Any]:
+    """The process answers."""
+    return {"status": "ok", "version": fitter.__version__}
+
+
+@router.get("/readyz", response_model=schemas.Health, responses=problems(503))
+def readyz(here: Here) -> dict[str, Any]:
+    """The database answers, and the server is not stopping."""
+    try:
+        here.store.ping()
+    except SQLAlchemyError as error:
+        raise Problem(503, "not-ready", "the database does not answer", headers={"Retry-After": "5"}) from error
+    if here.stopping.is_set():
+        raise Problem(503, "not-ready", "the server is stopping")
+    return {"status": "ok", "version": fitter.__version__}
+
+
+@router.get(
+    "/metrics", response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)  # fmt: skip
+def prometheus(here: Here) -> Response:
+    """Counters for Prometheus."""
+    return Response(here.metrics.text(here.store.counts()), media_type=metrics.MEDIA_TYPE)

@@ -1,0 +1,170 @@
+"""Models: fitted and uploaded ones, their verbs, and the families there are."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request, Response
+
+import fitter
+from api import documents, schemas
+from api.exchange import (
+    Body,
+    FloatArray,
+    checked_draws,
+    read_incidences,
+    read_pairs,
+    respond,
+    respond_samples,
+)
+from api.openapi import array_request, array_response
+from api.problems import Problem
+from api.routes import Limit, Offset, problems
+from api.rows import ModelRow
+from api.service import Here, Service
+from api.store import new_id
+from fitter.errors import SpecError
+from fitter.spec import FAMILIES, MAX_LOBES, OPTIONS, ModelSpec, model_spec
+
+router = APIRouter(tags=["models"])
+
+#: Pairs are padded to the next power of two, so that a handful of compiled programs serve all requests.
+SMALLEST_BUCKET = 64
+
+
+@router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
+def models(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+    """Fitted and uploaded models, newest first."""
+    rows, total = here.store.page(ModelRow, limit, offset)
+    return documents.page([documents.model(row) for row in rows], total, limit, offset)
+
+
+@router.post(
+    "/v1/models", status_code=201, response_model=schemas.ModelDocument, responses=problems(400, 413, 422)
+)
+def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict[str, Any]:
+    """Keep a model whose parameters were made elsewhere."""
+    spec = model_spec(wanted.model)
+    known = [p.name for p in fitter.models.parameter_table(spec)]
+    for name in wanted.values:
+        if name not in known:
+            raise SpecError(
+                f"{spec.name} has no parameter {name[:64]!r}", code="unknown-parameter", parameter=name[:64],
+                remedy=f"its parameters are {', '.join(known)}",
+            )  # fmt: skip
+    if wanted.channels is not None and len(set(wanted.channels)) < len(wanted.channels):
+        raise SpecError(
+            "two channels have the same name", code="bad-channels", parameter="channels",
+            remedy="give one distinct name per channel",
+        )  # fmt: skip
+    model = fitter.models.create(spec, channels=wanted.channels, **wanted.values)
+    row = ModelRow(
+        id=new_id(), created=time.time(), origin="upload", name=spec.name, document=model.to_dict()
+    )
+    here.store.add(row)
+    response.headers["Location"] = f"/v1/models/{row.id}"
+    return documents.model(row)
+
+
+@router.get("/v1/models/{id}", response_model=schemas.ModelDocument, responses=problems(404, 422))
+def model(id: str, here: Here) -> dict[str, Any]:
+    """A model. The id of a fit names the model it found."""
+    return documents.model(_row(here, id))
+
+
+@router.post(
+    "/v1/models/{id}/evaluate", responses={**problems(400, 404, 413, 422), **array_response(schemas.EvaluationDocument)},
+    openapi_extra=array_request("wi", "wo"),
+)  # fmt: skip
+def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
+    """f_r without the cosine, 1/sr, at direction pairs; 0 where wo is below the horizon."""
+    found = _model(here, id)
+    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    values = np.asarray(found.evaluate(*_padded(wi, wo)))[: len(wi)]
+    document = {"channels": list(found.channels), "unit": "1/sr", "values": values}
+    return respond(request, document, values)
+
+
+@router.post(
+    "/v1/models/{id}/pdf", responses={**problems(400, 404, 413, 422), **array_response(schemas.PdfDocument)},
+    openapi_extra=array_request("wi", "wo"),
+)  # fmt: skip
+def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
+    """Density of `sample` drawing wo given wi, per unit solid angle."""
+    found = _model(here, id)
+    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    values = np.asarray(found.pdf(*_padded(wi, wo)))[: len(wi)]
+    return respond(request, {"unit": "1/sr", "values": values}, values)
+
+
+@router.post(
+    "/v1/models/{id}/albedo", responses={**problems(400, 404, 413, 422), **array_response(schemas.AlbedoDocument)},
+    openapi_extra=array_request("wi"),
+)  # fmt: skip
+def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
+    """Directional-hemispherical reflectance."""
+    found = _model(here, id)
+    wi = read_incidences(request, body, here.settings.max_albedo_directions)
+    values = np.asarray(found.albedo(wi))
+    return respond(request, {"channels": list(found.channels), "values": values}, values)
+
+
+@router.post(
+    "/v1/models/{id}/sample", responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)}
+)
+def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here) -> Response:
+    """Directions drawn for one incidence, with their densities and weights."""
+    found = _model(here, id)
+    wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
+    return respond_samples(request, found.sample(wi, wanted.n, seed=wanted.seed), found.channels)
+
+
+@router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
+def families() -> list[dict[str, Any]]:
+    """The models that can be fitted, each with its options and the parameters of its default form."""
+    return [_family(model_spec(name)) for name in FAMILIES]
+
+
+@router.get("/v1/model-families/{name}", response_model=schemas.FamilyDocument, responses=problems(422))
+def family(name: str) -> dict[str, Any]:
+    """The parameters of one form, by its short name, as `torrance_sparrow:ggx` or `lafortune:2`."""
+    return _family(model_spec(name))
+
+
+def _family(spec: ModelSpec) -> dict[str, Any]:
+    table = [p.to_dict() for p in fitter.models.parameter_table(spec)]
+    properties: dict[str, Any] = {}
+    for p in table:
+        number = {"type": "number", "minimum": p["lower"]}
+        if p["upper"] is not None:
+            number["maximum"] = p["upper"]
+        properties[p["name"]] = {
+            "oneOf": [number, {"type": "array", "items": number, "minItems": 1}],
+            "default": p["default"], "description": f"{p['description']}, unit {p['unit']}",
+        }  # fmt: skip
+    return {
+        "name": spec.name, "family": spec.family,
+        "options": {option: list(allowed) for option, allowed in OPTIONS[spec.family].items()},
+        "max_lobes": MAX_LOBES.get(spec.family, 1), "parameters": table,
+        "values_schema": {"type": "object", "properties": properties, "additionalProperties": False},
+    }  # fmt: skip
+
+
+def _row(here: Service, id: str) -> ModelRow:
+    row = here.store.get(ModelRow, id)
+    if row is None:
+        raise Problem.not_found("model", id)
+    return row
+
+
+def _model(here: Service, id: str) -> Any:
+    return fitter.models.from_dict(_row(here, id).document)
+
+
+def _padded(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pairs (M, 3) with the last one repeated up to the bucket's size."""
+    count = max(SMALLEST_BUCKET, 1 << (len(wi) - 1).bit_length())
+    more = ((0, count - len(wi)), (0, 0))
+    return np.pad(wi, more, mode="edge"), np.pad(wo, more, mode="edge")

@@ -1,0 +1,233 @@
+"""Tables: upload, list, look at, evaluate, draw from, delete."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import orjson
+from anyio import to_thread
+from fastapi import APIRouter, Query, Request, Response
+from starlette.datastructures import UploadFile
+
+import fitter
+from api import documents, schemas
+from api.blobs import Incoming
+from api.exchange import Body, checked_draws, read_pairs, respond, respond_samples
+from api.openapi import array_request, array_response, upload_request
+from api.problems import Problem
+from api.routes import Limit, Offset, problems
+from api.rows import TableRow
+from api.service import Here, Service
+from api.store import InUse, Missing, new_id
+from api.tables import parse
+from fitter import directions
+from fitter.documents import dumps
+from fitter.formats.describe import describe
+from fitter.formats.read_options import ReadOptions, read_options
+from fitter.table import Quantity
+
+router = APIRouter(prefix="/v1/tables", tags=["tables"])
+
+#: Bytes that are hashed and written at a time.
+CHUNK = 1 << 20
+Treatment = Literal["mask", "keep"]
+
+
+@router.post(
+    "", status_code=201, response_model=schemas.TableDocument, responses=problems(400, 413, 422),
+    openapi_extra=upload_request(),
+)  # fmt: skip
+async def upload(
+    request: Request,
+    response: Response,
+    here: Here,
+    quantity: Annotated[Quantity | None, Query(description="what the values are, where the file can't say")] = None,
+    convention: Annotated[str | None, Query(max_length=64, description="how azimuths or cells are meant")] = None,
+    item: Annotated[str | None, Query(max_length=200, description="which table of a file that holds several")] = None,
+    columns: Annotated[
+        str | None,
+        Query(
+            max_length=100_000,
+            description='delimited text: JSON object of column (name or 0-based position) -> meaning, '
+            'as `{"thetai": "theta_i_deg", "5": "brdf_R"}`',
+        ),
+    ] = None,
+    negatives: Annotated[Treatment, Query(description="whether negative values are used")] = "mask",
+    duplicates: Annotated[Treatment, Query(description="whether repeated geometries are used")] = "mask",
+    name: Annotated[schemas.Label | None, Query(description="what to call it; default what the file says")] = None,
+) -> dict[str, Any]:
+    """Upload a measured table: the file's bytes as the body, or a form with one field `file`.
+
+    The format is told by content. A file that can't be read is refused with the row and column, and
+    nothing of it is kept.
+    """
+    given = {
+        "quantity": quantity, "convention": convention, "item": item, "columns": _columns(columns),
+        "negatives": negatives, "duplicates": duplicates, "name": name,
+    }  # fmt: skip
+    options = read_options(given)
+    with here.blobs.incoming(here.settings.max_upload_bytes) as incoming:
+        if request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
+            filename = await _receive_form(request, incoming)
+            if filename and not name:
+                options = read_options({**given, "name": filename})
+        else:
+            await _receive(request, incoming)
+        row = await to_thread.run_sync(_keep, here, incoming, options)
+    here.metrics.upload(row.size)
+    response.headers["Location"] = f"/v1/tables/{row.id}"
+    return documents.table(row)
+
+
+async def _receive(request: Request, incoming: Incoming) -> None:
+    """The body itself, to the disk in pieces."""
+    waiting = bytearray()
+    async for chunk in request.stream():
+        waiting += chunk
+        if len(waiting) >= CHUNK:
+            await to_thread.run_sync(incoming.write, bytes(waiting))
+            waiting.clear()
+    await to_thread.run_sync(incoming.write, bytes(waiting))
+
+
+async def _receive_form(request: Request, incoming: Incoming) -> str | None:
+    """The form's one file (the framework spools it to the disk too); the name it was sent under."""
+    async with request.form(max_files=1, max_fields=1) as form:
+        file = form.get("file")
+        if len(form) != 1 or not isinstance(file, UploadFile):
+            raise Problem.invalid(
+                "bad-form", "the form does not hold exactly one field, `file`", parameter="file",
+                remedy="send the table as `file`, and reading options as query parameters",
+            )  # fmt: skip
+        while chunk := await file.read(CHUNK):
+            await to_thread.run_sync(incoming.write, chunk)
+        label = "".join(c for c in (file.filename or "") if c.isprintable()).replace("\\", "/").split("/")[-1]
+        return label[:200] or None
+
+
+def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
+    """Parse what came; only what is a table becomes a blob and a row."""
+    sha256 = incoming.finish()
+    table = parse(incoming.path, options.to_dict())
+    row = TableRow(
+        id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
+        sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
+    )  # fmt: skip
+    with here.blobs.lock:
+        here.blobs.keep(incoming, sha256)
+        here.store.add(row)
+    return row
+
+
+def _columns(text: str | None) -> dict[str, Any] | None:
+    if text is None:
+        return None
+    try:
+        found = orjson.loads(text.encode("utf-8", "replace"))
+    except orjson.JSONDecodeError as error:
+        raise Problem.invalid(
+            "bad-option", f"columns is not JSON: {error.msg}", parameter="columns",
+            remedy='give an object, as {"thetai": "theta_i_deg", "5": "brdf_R"}',
+        ) from error  # fmt: skip
+    return found
+
+
+@router.get("", response_model=schemas.Page[schemas.TableDocument], responses=problems(422))
+def tables(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+    """The uploaded tables, newest first."""
+    rows, total = here.store.page(TableRow, limit, offset)
+    return documents.page([documents.table(row) for row in rows], total, limit, offset)
+
+
+@router.get("/{id}", response_model=schemas.TableDocument, responses=problems(404, 422))
+def table(id: str, here: Here) -> dict[str, Any]:
+    """What a table's bytes were read as."""
+    return documents.table(_row(here, id))
+
+
+@router.delete("/{id}", status_code=204, responses=problems(404, 409, 422))
+def delete(id: str, here: Here) -> Response:
+    """Delete a table: its row, and its bytes when no other table has the same.
+
+    Finished fits and posteriors stay, with what they say of the table. 409 while a job needs it.
+    """
+    try:
+        with here.blobs.lock:
+            unused = here.store.delete_table(id)
+            if unused is not None:
+                here.blobs.drop(unused)
+    except Missing as error:
+        raise Problem.not_found("table", id) from error
+    except InUse as error:
+        raise Problem(
+            409, "table-in-use", "a waiting or running job needs this table",
+            remedy="cancel the job (POST /v1/jobs/{id}/cancel) or wait for it",
+        ) from error  # fmt: skip
+    return Response(status_code=204)
+
+
+@router.post(
+    "/{id}/evaluate", responses={**problems(400, 404, 413, 422), **array_response(schemas.TableEvaluationDocument)},
+    openapi_extra=array_request("wi", "wo"),
+)  # fmt: skip
+def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
+    """The table's interpolant at direction pairs, and which of them lie outside the measured domain.
+
+    As `.npy` the answer is a structured array with the fields `value` (C,) and `extrapolated`.
+    """
+    opened = here.tables.open(_row(here, id))
+    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    values, extrapolated = opened.table.evaluate(wi, wo)
+    array = np.zeros(len(values), [("value", np.float64, values.shape[1:]), ("extrapolated", np.bool_)])
+    array["value"], array["extrapolated"] = values, extrapolated
+    document = {
+        "channels": _channels(opened.table), "unit": "1/sr", "values": values, "extrapolated": extrapolated,
+    }  # fmt: skip
+    return respond(request, document, array)
+
+
+@router.post(
+    "/{id}/samples", responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)},
+)  # fmt: skip
+def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here: Here) -> Response:
+    """Directions drawn from the raw table by rejection, exactly proportional to f_r cos(theta_o)."""
+    row = _row(here, id)
+    wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
+    opened = here.tables.open(row)
+    drawn = opened.sample(wi, wanted.n, wanted.seed, wanted.weights, wanted.allow_extrapolated)
+    return respond_samples(request, drawn, _channels(opened.table))
+
+
+@router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
+def slices(
+    id: str,
+    here: Here,
+    theta_i_deg: Annotated[float, Query(ge=0, lt=90, allow_inf_nan=False)],
+    phi_i_deg: Annotated[float, Query(ge=-360, le=360, allow_inf_nan=False)] = 0.0,
+    n: Annotated[int, Query(ge=2, le=10_000, description="directions, from -89.5 to 89.5 degrees")] = 180,
+) -> Response:
+    """In-plane slice of the interpolant at one incidence; theta_o is positive on the specular side."""
+    found = here.tables.open(_row(here, id)).table
+    theta_o = np.linspace(-89.5, 89.5, n)
+    incident = directions.vector_from_spherical(np.deg2rad(theta_i_deg), np.deg2rad(phi_i_deg))
+    # The specular side is half a turn from the incident azimuth.
+    wo = directions.vector_from_spherical(np.deg2rad(theta_o), np.deg2rad(phi_i_deg) + np.pi)
+    values, extrapolated = found.evaluate(np.broadcast_to(incident, (n, 3)), wo)
+    document = {
+        "channels": _channels(found), "unit": "1/sr", "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg,
+        "theta_o_deg": theta_o, "values": values, "extrapolated": extrapolated,
+    }  # fmt: skip
+    return Response(dumps(document), media_type="application/json")
+
+
+def _row(here: Service, id: str) -> TableRow:
+    row = here.store.get(TableRow, id)
+    if row is None:
+        raise Problem.not_found("table", id)
+    return row
+
+
+def _channels(found: fitter.Table) -> list[str]:
+    return [channel.name for channel in found.channels]

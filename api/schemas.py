@@ -1,0 +1,253 @@
+"""Schemas: what requests hold and answers look like. OpenAPI is made from these."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
+
+_T = TypeVar("_T")
+
+#: Text that is shown to people: no control characters.
+Label = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Seed = Annotated[int, Field(ge=0, lt=2**63, description="the same seed gives the same draws")]
+Values = Annotated[list[float], Field(min_length=1, max_length=1000)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3, description="unit vector [x, y, z]")]
+
+_ID = "0123456789abcdef0123456789abcdef"
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Page(BaseModel, Generic[_T]):
+    """Part of a list, newest first."""
+
+    items: list[_T]
+    total: int
+    limit: int
+    offset: int
+
+
+class TableDocument(BaseModel):
+    """An uploaded table: what its bytes were read as."""
+
+    id: str = Field(examples=[_ID])
+    name: str
+    created: str
+    sha256: str
+    bytes: int
+    options: dict[str, Any] = Field(description="the reading options it was uploaded with")
+    description: dict[str, Any] = Field(description="format, quantity, channels, counts, grid, domain, peaks, notes")
+    links: dict[str, str]
+
+
+class SampleRequest(_Request):
+    """Directions to draw for one incidence."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}}
+    )
+
+    wi: Vector
+    n: Annotated[int, Field(ge=1, le=50_000_000)]
+    seed: Seed
+
+
+class TableSampleRequest(SampleRequest):
+    """Directions to draw from a raw table. ``weights`` of the channels default to equal."""
+
+    weights: Values | None = None
+    allow_extrapolated: bool = Field(False, description="draw for incidences that were not measured, too")
+
+
+class SamplesDocument(BaseModel):
+    """Draws, one entry each; ``weight`` is f_r cos(theta_o) / pdf per channel."""
+
+    channels: list[str]
+    wo: list[Vector]
+    pdf: list[float | None]
+    weight: list[list[float | None]]
+    valid: list[bool]
+    is_delta: list[bool]
+    acceptance: float
+    seed: int | None
+
+
+class EvaluationDocument(BaseModel):
+    """f_r without the cosine, one row per pair and one column per channel; null where there is none."""
+
+    channels: list[str]
+    unit: Literal["1/sr"]
+    values: list[list[float | None]]
+
+
+class TableEvaluationDocument(EvaluationDocument):
+    """A table's interpolant; ``extrapolated`` says which pairs lie outside the measured domain."""
+
+    extrapolated: list[bool]
+
+
+class SliceDocument(TableEvaluationDocument):
+    """In-plane slice; ``theta_o_deg`` is positive on the specular side."""
+
+    theta_i_deg: float
+    phi_i_deg: float
+    theta_o_deg: list[float]
+
+
+class PdfDocument(BaseModel):
+    """Density of wo given wi per unit solid angle."""
+
+    unit: Literal["1/sr"]
+    values: list[float | None]
+
+
+class AlbedoDocument(BaseModel):
+    """Directional-hemispherical reflectance, one row per direction and one column per channel."""
+
+    channels: list[str]
+    values: list[list[float | None]]
+
+
+class FitRequest(FitSpec):
+    """A fit to a table: ``model`` (a short name or its specification) or several ``models``."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {"table": _ID, "models": ["ward", "lafortune:2"], "metric": "cosine", "seed": 0}
+        }
+    )
+
+    table: str = Field(max_length=64, description="id of the table")
+    model: ModelSpec | Label | None = None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    models: Annotated[list[ModelSpec | Label], Field(min_length=1, max_length=16)] | None = None
+
+
+class PosteriorRequest(PosteriorSpec):
+    """A posterior of a finished fit."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"fit": _ID, "ess": 400, "budget_seconds": 20}})
+
+    fit: str = Field(max_length=64, description="id of the fit")
+
+
+class Progress(BaseModel):
+    """How far a job is: share in [0, 1], and what it is doing."""
+
+    share: float
+    what: str
+
+
+class JobDocument(BaseModel):
+    """Work that takes time. ``results`` link what it made, or hold the problem of a model that failed."""
+
+    id: str = Field(examples=[_ID])
+    kind: Literal["fit", "posterior"]
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    progress: Progress
+    attempt: int
+    table: str
+    request: dict[str, Any]
+    created: str
+    started: str | None
+    finished: str | None
+    results: list[dict[str, Any]]
+    problem: dict[str, Any] | None
+    links: dict[str, str]
+
+
+class FitSummary(BaseModel):
+    """One fit in a list."""
+
+    id: str = Field(examples=[_ID])
+    model: str
+    created: str
+    table: str
+    job: str
+    status: str
+    message: str
+    metrics: dict[str, float | None]
+    seconds: float
+    links: dict[str, str]
+
+
+class FitDocument(BaseModel):
+    """The whole result, as ``brdf-fitter fit --json`` prints it, with its id and links."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    kind: Literal["brdf-fitter/fit"]
+    model: dict[str, Any]
+    parameters: dict[str, Any]
+    metrics: dict[str, Any]
+    status: str
+    message: str
+    posteriors: list[str]
+    links: dict[str, str]
+
+
+class PosteriorDocument(BaseModel):
+    """The whole posterior, as ``brdf-fitter posterior --json`` prints it, with its id and links."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    kind: Literal["brdf-fitter/posterior"]
+    labels: list[str]
+    draws: list[list[float | None]]
+    intervals: dict[str, Any]
+    diagnostics: dict[str, Any]
+    status: str
+    message: str
+    links: dict[str, str]
+
+
+class ModelRequest(_Request):
+    """Parameters made elsewhere: scalars, or one value per channel. Those left out take their default."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {"model": "ward", "values": {"kd": [0.1, 0.2, 0.3], "ks": 0.05, "alpha": 0.1}}
+        },
+    )
+
+    model: ModelSpec | Label
+    channels: Annotated[list[Label], Field(min_length=1, max_length=1000)] | None = None
+    values: dict[str, float | Values]
+
+
+class ModelDocument(BaseModel):
+    """A reflectance model, fitted or uploaded."""
+
+    id: str = Field(examples=[_ID])
+    origin: Literal["fit", "upload"]
+    name: str
+    created: str
+    spec: dict[str, Any]
+    channels: list[str]
+    values: dict[str, float | list[float]]
+    links: dict[str, str]
+
+
+class FamilyDocument(BaseModel):
+    """A model family: its options, and the parameters of one member."""
+
+    name: str
+    family: str
+    options: dict[str, list[str]] = Field(description="what each option may be, default first")
+    max_lobes: int
+    parameters: list[dict[str, Any]]
+    values_schema: dict[str, Any] = Field(description="JSON schema of `values` in POST /v1/models")
+
+
+class Health(BaseModel):
+    """The server answers."""
+
+    status: Literal["ok"]
+    version: str

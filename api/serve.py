@@ -1,0 +1,43 @@
+"""Serving: one process on one data folder, stopped gracefully."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+
+from api.app import create_app
+from api.service import Service
+from api.settings import Settings
+from fitter import _jax
+
+#: Seconds that open connections get to finish once the server is asked to stop.
+CONNECTION_GRACE = 5
+
+
+class _Server(uvicorn.Server):
+    """Tells the service at once that it is asked to stop, so that event streams end."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        service: Service | None = getattr(self.config.app.state, "service", None)  # type: ignore[union-attr]
+        if service is not None:
+            service.stopping.set()
+        super().handle_exit(sig, frame)
+
+
+def serve(
+    *, host: str = "127.0.0.1", port: int = 8000, folder: Path, workers: int = 2, log_level: str = "info"
+) -> None:
+    """Serve ``folder`` until interrupted. ``workers`` threads run jobs.
+
+    Compiled programs are kept in the folder. Raises SpecError when another server works on it.
+    """
+    settings = Settings(folder=folder, workers=workers)
+    folder.mkdir(parents=True, exist_ok=True)
+    _jax.use_compilation_cache(folder / "xla")
+    config = uvicorn.Config(
+        create_app(settings), host=host, port=port, log_level=log_level, server_header=False,
+        timeout_graceful_shutdown=CONNECTION_GRACE,
+    )  # fmt: skip
+    _Server(config).run()

@@ -1,0 +1,66 @@
+"""Figures of a posterior: the corner plot and how it converged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, legend, panel, picture, plain
+
+#: Fewer draws than this make no density.
+FEWEST_DRAWS = 50
+
+
+def corner_picture(record: Record) -> Picture | None:
+    """Every pair of the shown parameters; contours hold 39 % and 86 % of the draws (1 and 2 sigma in 2-D)."""
+    # corner loads pyplot, which nothing else here does: a figure of its own keeps pyplot without state.
+    import corner
+
+    section = record["posterior"]["corner"]
+    labels, draws = section["labels"], np.array(section["draws"], dtype=np.float64).T
+    if not labels or len(draws) < max(FEWEST_DRAWS, len(labels) + 1):
+        return None
+    side = max(4.6, 1.75 * len(labels))
+    figure = Figure(figsize=(side, side), facecolor="white")
+    FigureCanvasAgg(figure)
+    corner.corner(
+        draws, fig=figure, labels=[plain(label, 18) for label in labels], color=BLUE, truth_color=VERMILLION,
+        truths=section["estimates"], bins=24, max_n_ticks=3, labelpad=0.12, use_math_text=True,
+        label_kwargs={"fontsize": 10, "color": INK}, quantiles=[0.025, 0.5, 0.975],
+        levels=(0.393, 0.865), data_kwargs={"alpha": 0.2, "rasterized": True},
+        pcolor_kwargs={"rasterized": True},
+    )  # fmt: skip
+    figure.subplots_adjust(left=0.15, bottom=0.15, right=0.97, top=0.97)
+    for axes in figure.axes:
+        axes.tick_params(labelsize=8, colors=INK)
+    return picture(
+        figure,
+        "Corner plot of the posterior: the density of each parameter with its median and 95 % credible interval, "
+        "and of each pair; lines mark the least-squares estimates.",
+    )
+
+
+def convergence_pictures(record: Record) -> list[Picture]:
+    """R-hat and effective sample size as the run went on, each with its target."""
+    section = record["posterior"]
+    history: list[dict[str, Any]] = section["history"]
+    found: list[Picture] = []
+    for key, title, y, target, better in (
+        ("rhat", "Largest R-hat", "R-hat − 1", section["targets"]["rhat"] - 1, "below"),
+        ("ess", "Smallest effective sample size", "effective sample size", section["targets"]["ess"], "above"),
+    ):
+        rows = [(h.get("steps"), h.get(key)) for h in history]
+        points = np.array([(s, v) for s, v in rows if s is not None and v is not None], dtype=np.float64)
+        if not len(points):
+            continue
+        values = points[:, 1] - 1 if key == "rhat" else points[:, 1]
+        figure, axes = panel(title, "steps per walker", y)
+        axes.plot(points[:, 0], np.maximum(values, 1e-6), "-o", color=BLUE, markersize=4, linewidth=1.6)
+        axes.axhline(target, color=VERMILLION, linestyle="--", linewidth=1.4, label="target")
+        axes.set_yscale("log")
+        legend(axes, loc="best")
+        found.append(picture(figure, f"{title} against steps; converged when {better} the dashed target line."))
+    return found
