@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
 from anyio import to_thread
@@ -25,7 +25,7 @@ def create_app(settings: Settings) -> FastAPI:
     """The application; its service is opened when it starts and closed when it stops."""
 
     @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         service = await to_thread.run_sync(Service, settings)
         app.state.service = service
         await to_thread.run_sync(service.start)

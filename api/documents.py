@@ -63,7 +63,8 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/fits/{row.id}"
     return {
         "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
-        "model": f"/v1/models/{row.id}", "report": f"{here}/report.html", "report_json": f"{here}/report.json",
+        "model": f"/v1/models/{row.id}", "report": f"{here}/report.html",
+        "report_json": f"{here}/report.json",
     }  # fmt: skip
 
 

@@ -42,7 +42,10 @@ def wants_npy(request: Request) -> bool:
 
 
 def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, FloatArray]:
-    """``(wi, wo)``, each (M, 3): JSON ``{"wi": ..., "wo": ...}`` or an array (2, M, 3). One wi may serve all."""
+    """``(wi, wo)``, each (M, 3): JSON ``{"wi": ..., "wo": ...}`` or an array (2, M, 3).
+
+    In JSON one wi may serve all wo, and the other way round.
+    """
     if _is_npy(request):
         both = _read_npy(body)
         if both.ndim != 3 or both.shape[0] != 2:
@@ -83,10 +86,10 @@ def checked(given: Any, name: str, limit: int) -> FloatArray:
     finite = np.isfinite(w).all(axis=1)
     if not finite.all():
         raise _bad(f"{name} {int(np.argmin(finite)) + 1} is not finite", name, int(np.argmin(finite)) + 1)
-    # Each component is compared first: the square of 1e200 is infinite.
-    unit = (np.abs(w) <= 2).all(axis=1)
-    square = np.einsum("ij,ij->i", np.where(unit[:, None], w, 0.0), np.where(unit[:, None], w, 0.0))
-    unit &= np.abs(np.sqrt(square) - 1) <= LENGTH_TOLERANCE
+    # Clipped, because the square of 1e200 is infinite; what is clipped is no unit vector anyway.
+    small = np.clip(w, -2.0, 2.0)
+    square = np.einsum("ij,ij->i", small, small)
+    unit = np.abs(np.sqrt(square) - 1) <= LENGTH_TOLERANCE
     if not unit.all():
         at = int(np.argmin(unit)) + 1
         raise _bad(f"{name} {at} is not a unit vector", name, at)
@@ -107,7 +110,10 @@ def above_horizon(wi: FloatArray) -> None:
 
 
 def respond(
-    request: Request, document: Mapping[str, Any], array: NDArray[Any], headers: Mapping[str, str] | None = None
+    request: Request,
+    document: Mapping[str, Any],
+    array: NDArray[Any],
+    headers: Mapping[str, str] | None = None,
 ) -> Response:
     """``array`` as ``.npy`` where the client prefers that, else ``document`` as JSON."""
     both = {"Vary": "Accept", **(headers or {})}

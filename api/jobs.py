@@ -5,6 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
+
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from api.metrics import Metrics
 from api.problems import Problem, document, internal, of_fitter_error
@@ -18,6 +21,9 @@ _log = logging.getLogger("brdf_fitter.api")
 
 #: Seconds between two writes of one job's progress.
 PROGRESS_EVERY = 0.2
+#: Seconds between attempts to write how a job ended. After the last one the row stays "running", and the
+#: next start of the server queues the job again.
+RETRY_AFTER = (0.5, 2.0, 8.0)
 #: Seconds after which an idle thread looks at the queue without having been told to.
 IDLE_LOOK = 5.0
 
@@ -101,7 +107,7 @@ class Runner:
         if outcome.problem is not None:
             return self._failed(job, outcome)
         try:
-            published = self._store.publish(job, outcome.rows, outcome.results)
+            published = self._persist(lambda: self._store.publish(job, outcome.rows, outcome.results))
         except Exception:
             self._worker.discard(outcome)
             raise
@@ -110,9 +116,20 @@ class Runner:
         return "done"
 
     def _failed(self, job: JobRow, outcome: Outcome) -> str:
-        assert outcome.problem is not None
-        self._store.fail(job, outcome.problem, outcome.results)
+        problem = outcome.problem
+        assert problem is not None
+        self._persist(lambda: self._store.fail(job, problem, outcome.results))
         return "failed"
+
+    def _persist(self, write: Callable[[], bool]) -> bool:
+        """Write to the row, again a few times while the database does not take it."""
+        for wait in RETRY_AFTER:
+            try:
+                return write()
+            except OperationalError:
+                _log.warning("the database does not take a job's end; again in %g s", wait, exc_info=True)
+                self._stopping.wait(wait)
+        return write()
 
     def _reporter(self, job: JobRow) -> Progress:
         last = 0.0
@@ -124,7 +141,13 @@ class Runner:
             now = time.monotonic()
             if now - last >= PROGRESS_EVERY:
                 last = now
-                if self._store.advance(job, share, what):
+                try:
+                    stop = self._store.advance(job, share, what)
+                except SQLAlchemyError:
+                    # The work is worth more than the record of how far it is.
+                    _log.warning("the progress of job %s can't be recorded", job.id, exc_info=True)
+                    return
+                if stop:
                     raise Cancelled
 
         return progress

@@ -11,12 +11,12 @@ from pydantic import BaseModel
 from api.exchange import NPY
 from api.problems import MEDIA_TYPE
 
-_VECTOR = {
-    "type": "array", "items": {"type": "number", "minimum": -1.01, "maximum": 1.01}, "minItems": 3, "maxItems": 3
-}  # fmt: skip
+_COMPONENT = {"type": "number", "minimum": -1.01, "maximum": 1.01}
+_VECTOR = {"type": "array", "items": _COMPONENT, "minItems": 3, "maxItems": 3}
 _VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1}]}
 _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
 _BINARY = {"type": "string", "format": "binary"}
+_PROBLEM = {"$ref": "#/components/schemas/ProblemDocument"}
 
 
 def array_request(*names: str) -> dict[str, Any]:
@@ -36,12 +36,14 @@ def array_request(*names: str) -> dict[str, Any]:
 def array_response(kind: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
     """The 200 answer: JSON of that schema, or ``.npy``."""
     content = {NPY: {"schema": _BINARY}}
-    return {200: {"model": kind, "description": "As JSON, or `.npy` where Accept prefers it", "content": content}}
+    about = "As JSON, or `.npy` where Accept prefers it"
+    return {200: {"model": kind, "description": about, "content": content}}
 
 
 def upload_request() -> dict[str, Any]:
     """The body of an upload: the bytes themselves, or a form."""
-    form = {"type": "object", "required": ["file"], "properties": {"file": _BINARY}, "additionalProperties": False}
+    fields = {"file": _BINARY}
+    form = {"type": "object", "required": ["file"], "properties": fields, "additionalProperties": False}
     content = {
         "application/octet-stream": {"schema": _BINARY}, "text/plain": {"schema": {"type": "string"}},
         "multipart/form-data": {"schema": form},
@@ -62,8 +64,7 @@ def install(app: FastAPI) -> None:
                 for operation in path.values():
                     for status, answer in operation["responses"].items():
                         if int(status) >= 400:
-                            content = answer["content"]
-                            content[MEDIA_TYPE] = content.pop("application/json")
+                            answer["content"] = {MEDIA_TYPE: {"schema": _PROBLEM}}
             app.openapi_schema = made
         return app.openapi_schema
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import HTMLResponse
 from fastapi.staticfiles import StaticFiles
@@ -19,8 +20,8 @@ _FRONT = """<!doctype html>
 code,pre{{background:#f3f3f3;padding:.1em .3em}}pre{{padding:1em;overflow:auto}}</style></head><body>
 <h1>brdf-fitter {version}</h1>
 <p>Fits reflectance models to measured BRDF tables, with uncertainties.</p>
-<pre>curl --data-binary @paint.astm {{this server}}/v1/tables
-curl --json '{{{{"table": "ID", "models": ["ward", "torrance_sparrow"]}}}}' {{this server}}/v1/fits</pre>
+<pre>curl --data-binary @paint.astm {base}v1/tables
+curl --json '{{"table": "ID", "models": ["ward", "torrance_sparrow"]}}' {base}v1/fits</pre>
 <ul><li><a href="docs">What every operation takes and gives</a> (<a href="openapi.json">OpenAPI</a>)</li>
 <li><a href="v1/tables">Tables</a>, <a href="v1/jobs">jobs</a>, <a href="v1/fits">fits</a>,
 <a href="v1/models">models</a>, <a href="v1/model-families">model families</a></li>
@@ -34,8 +35,9 @@ def install(app: FastAPI) -> None:
     router = APIRouter(include_in_schema=False)
 
     @router.get("/")
-    def front() -> HTMLResponse:
-        return HTMLResponse(_FRONT.format(version=fitter.__version__))
+    def front(request: Request) -> HTMLResponse:
+        # The host name is the client's word.
+        return HTMLResponse(_FRONT.format(version=fitter.__version__, base=escape(str(request.base_url))))
 
     @router.get("/docs")
     def docs() -> HTMLResponse:

@@ -40,6 +40,7 @@ def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> 
 
     fit = FitResult.from_dict(here.results.read(row.id))
     posterior = None if posterior_id is None else Posterior.from_dict(here.results.read(posterior_id))
-    made: Any = importlib.import_module("fitter.report").build(here.tables.open(table_row).table, fit, posterior)
+    table = here.tables.open(table_row).table
+    made: Any = importlib.import_module("fitter.report").build(table, fit, posterior)
     here.results.write_report(name, "json", dumps(made.to_dict()))
     here.results.write_report(name, "html", made.html().encode())

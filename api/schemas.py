@@ -20,7 +20,7 @@ _ID = "0123456789abcdef0123456789abcdef"
 
 
 class _Request(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class Page(BaseModel, Generic[_T]):
@@ -41,7 +41,9 @@ class TableDocument(BaseModel):
     sha256: str
     bytes: int
     options: dict[str, Any] = Field(description="the reading options it was uploaded with")
-    description: dict[str, Any] = Field(description="format, quantity, channels, counts, grid, domain, peaks, notes")
+    description: dict[str, Any] = Field(
+        description="format, quantity, channels, counts, grid, domain, peaks, notes"
+    )
     links: dict[str, str]
 
 
@@ -49,7 +51,7 @@ class SampleRequest(_Request):
     """Directions to draw for one incidence."""
 
     model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}}
+        json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}}
     )
 
     wi: Vector
@@ -117,6 +119,7 @@ class FitRequest(FitSpec):
     """A fit to a table: ``model`` (a short name or its specification) or several ``models``."""
 
     model_config = ConfigDict(
+        allow_inf_nan=False,
         json_schema_extra={
             "example": {"table": _ID, "models": ["ward", "lafortune:2"], "metric": "cosine", "seed": 0}
         }
@@ -130,7 +133,10 @@ class FitRequest(FitSpec):
 class PosteriorRequest(PosteriorSpec):
     """A posterior of a finished fit."""
 
-    model_config = ConfigDict(json_schema_extra={"example": {"fit": _ID, "ess": 400, "budget_seconds": 20}})
+    model_config = ConfigDict(
+        allow_inf_nan=False,
+        json_schema_extra={"example": {"fit": _ID, "ess": 400, "budget_seconds": 20}},
+    )
 
     fit: str = Field(max_length=64, description="id of the fit")
 
@@ -211,7 +217,6 @@ class ModelRequest(_Request):
     """Parameters made elsewhere: scalars, or one value per channel. Those left out take their default."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "example": {"model": "ward", "values": {"kd": [0.1, 0.2, 0.3], "ks": 0.05, "alpha": 0.1}}
         },

@@ -8,7 +8,7 @@ from types import FrameType
 import uvicorn
 
 from api.app import create_app
-from api.service import Service
+from api.service import Service, check_folder
 from api.settings import Settings
 from fitter import _jax
 
@@ -34,7 +34,7 @@ def serve(
     Compiled programs are kept in the folder. Raises SpecError when another server works on it.
     """
     settings = Settings(folder=folder, workers=workers)
-    folder.mkdir(parents=True, exist_ok=True)
+    check_folder(settings)
     _jax.use_compilation_cache(folder / "xla")
     config = uvicorn.Config(
         create_app(settings), host=host, port=port, log_level=log_level, server_header=False,

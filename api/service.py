@@ -72,6 +72,12 @@ class Service:
         self._runner.wake()
 
 
+def check_folder(settings: Settings) -> None:
+    """Raises SpecError where another server works on the data folder; for callers that start one."""
+    settings.folder.mkdir(parents=True, exist_ok=True)
+    _lock(settings).close()
+
+
 def _lock(settings: Settings) -> BinaryIO:
     file = (settings.folder / "lock").open("wb")
     try:

@@ -81,22 +81,24 @@ class Worker:
         id, document = new_id(), fit.to_dict()
         self._results.write(id, document)
         summary = {
-            "status": fit.status, "message": fit.message, "metrics": document["metrics"], "seconds": fit.seconds,
+            "status": fit.status, "message": fit.message, "metrics": document["metrics"],
+            "seconds": fit.seconds,
         }  # fmt: skip
         outcome.rows.append(
             ModelRow(
-                id=id, created=time.time(), origin="fit", name=fit.spec.model.name, document=document["model"],
-                table_id=job.table_id, job_id=job.id, summary=summary,
+                id=id, created=time.time(), origin="fit", name=fit.spec.model.name,
+                document=document["model"], table_id=job.table_id, job_id=job.id, summary=summary,
             )
         )  # fmt: skip
         return {"kind": "fit", "model": fit.spec.model.name, "id": id, "status": fit.status}
 
     def _posterior(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
         from fitter.fitting import FitResult
+        from fitter.posterior import sample
 
         fit_id = str(job.request["fit"])
         fit = FitResult.from_dict(self._results.read(fit_id))
-        posterior = fitter.posterior(table, fit, posterior_spec(job.request["spec"]), progress=progress)
+        posterior = sample(table, fit, posterior_spec(job.request["spec"]), progress=progress)
         id = new_id()
         self._results.write(id, posterior.to_dict())
         summary = {"status": posterior.status, "message": posterior.message, "seconds": posterior.seconds}

@@ -57,7 +57,7 @@ class Facet:
         """Unpolarised Fresnel reflectance (C, N) at cosines (N,) from air, of what is not matte."""
         if self.kind == "lambert":
             return np.zeros((self.channels, len(cos)))
-        # Complex Snell: cos_t = sqrt(1 - sin^2 / m^2), m = eta + i k (Born & Wolf, Principles of Optics, ch. 14).
+        # Complex Snell: cos_t = sqrt(1 - sin^2 / m^2), m = eta + i k (Born & Wolf, Principles of Optics).
         m = (self.eta + 1j * self.k)[:, None]
         inside = np.sqrt(1.0 - (1.0 - cos**2) / m**2)
         s = (cos - m * inside) / (cos + m * inside)

@@ -152,6 +152,10 @@ class Domain:
 SAME_DIRECTION = 1e-6
 
 
+#: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
+HORIZON = 1e-9
+
+
 class Table:
     """Measured reflectance f_r(wi, wo) in 1/sr, without the cosine.
 
@@ -168,6 +172,9 @@ class Table:
 
     Attributes
     ----------
+    A viewer exactly on the horizon is usable as a measured value, though every model returns 0 there; a light
+    on the horizon gives no irradiance, and f_r is undefined.
+
     mask : (N,) True where usable. Masked samples keep their values and are counted by reason in
         ``metadata.masked``: non-finite or negative values, directions below the horizon, sigma that is
         not positive, repeated geometries.
@@ -238,7 +245,7 @@ class Table:
             raise self._error("a scattered table needs both wi and wo", "table-shape")
         pair: list[FloatArray] = []
         for name, given in (("wi", wi), ("wo", wo)):
-            w = np.ascontiguousarray(given, np.float64)
+            w = np.array(given, np.float64, order="C")
             if w.shape != (n, 3):
                 raise self._error(f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name)
             off = np.abs(np.einsum("ij,ij->i", w, w) - 1.0) > 1e-6
@@ -248,6 +255,7 @@ class Table:
                     f"row {int(np.argmax(off)) + 1} of {name} is not a unit vector", "table-not-unit",
                     parameter=name, remedy="divide each direction by its length",
                 )  # fmt: skip
+            w[np.abs(w[:, 2]) < HORIZON, 2] = 0.0
             pair.append(w)
         return pair[0], pair[1]
 
@@ -263,7 +271,8 @@ class Table:
         if negatives == "mask":
             reasons["negative"] = (self.value < 0).any(axis=1)
         if self.sigma is not None:
-            reasons["sigma missing or not positive"] = ~((self.sigma > 0) & np.isfinite(self.sigma)).all(axis=1)
+            stated = (self.sigma > 0) & np.isfinite(self.sigma)
+            reasons["sigma missing or not positive"] = ~stated.all(axis=1)
         if self.grid is None:
             reasons["direction not finite"] = ~(
                 np.isfinite(self.wi).all(axis=1) & np.isfinite(self.wo).all(axis=1)
@@ -275,7 +284,7 @@ class Table:
 
     def _above_horizon(self) -> BoolArray:
         if self.grid is None:
-            return (self.wi[:, 2] > 0) & (self.wo[:, 2] > 0)
+            return (self.wi[:, 2] > 0) & (self.wo[:, 2] >= 0)
         axes = self.grid.axes
         if self.grid.system == "half_difference":
             # z of each direction is cos_h cos_d -+ sin_h sin_d cos(phi_d): no need to expand the vectors.
@@ -321,7 +330,8 @@ class Table:
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
         kind = "scattered" if self.grid is None else f"{self.grid.system} grid {self.grid.shape}"
-        return f"<Table {self.metadata.name!r}: {len(self)} samples, {int(self.mask.sum())} usable, [{names}], {kind}>"
+        usable = int(self.mask.sum())
+        return f"<Table {self.metadata.name!r}: {len(self)} samples, {usable} usable, [{names}], {kind}>"
 
     @property
     def wi(self) -> FloatArray:

@@ -90,8 +90,9 @@ def report_html(id: str, here: Here) -> Response:
 
 
 @router.get(
-    "/posteriors/{id}", response_model=schemas.PosteriorDocument, responses=problems(404, 422), tags=["posteriors"]
-)
+    "/posteriors/{id}", response_model=schemas.PosteriorDocument, responses=problems(404, 422),
+    tags=["posteriors"],
+)  # fmt: skip
 def posterior(id: str, here: Here) -> Response:
     """The whole posterior: draws, credible intervals, diagnostics."""
     row = here.store.get(PosteriorRow, id)
@@ -109,7 +110,9 @@ def fit_row(here: Service, id: str) -> ModelRow:
     return row
 
 
-def _start(here: Service, response: Response, kind: str, table: str, request: dict[str, Any]) -> dict[str, Any]:
+def _start(
+    here: Service, response: Response, kind: str, table: str, request: dict[str, Any]
+) -> dict[str, Any]:
     if here.store.get(TableRow, table) is None:
         raise Problem.not_found("table", table)
     job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)

@@ -28,7 +28,7 @@ def readyz(here: Here) -> dict[str, Any]:
     try:
         here.store.ping()
     except SQLAlchemyError as error:
-        raise Problem(503, "not-ready", "the database does not answer", headers={"Retry-After": "5"}) from error
+        raise Problem(503, "not-ready", "the database does not answer") from error
     if here.stopping.is_set():
         raise Problem(503, "not-ready", "the server is stopping")
     return {"status": "ok", "version": fitter.__version__}

@@ -76,5 +76,5 @@ def cancel(row: Job, here: Here) -> dict[str, Any]:
     """Cancel a job: at once while it waits, at its next safe point while it runs."""
     now = here.store.cancel(row.id)
     if now.state in (DONE, FAILED):
-        raise Problem(409, "job-finished", f"the job is {now.state} already", remedy="there is nothing to cancel")
+        raise Problem(409, "job-finished", f"the job is {now.state} already")
     return documents.job(now)

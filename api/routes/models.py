@@ -59,7 +59,8 @@ def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict
             "two channels have the same name", code="bad-channels", parameter="channels",
             remedy="give one distinct name per channel",
         )  # fmt: skip
-    model = fitter.models.create(spec, channels=wanted.channels, **wanted.values)
+    values = {name: np.asarray(value) for name, value in wanted.values.items()}
+    model = fitter.models.create(spec, channels=wanted.channels, **values)
     row = ModelRow(
         id=new_id(), created=time.time(), origin="upload", name=spec.name, document=model.to_dict()
     )
@@ -75,7 +76,8 @@ def model(id: str, here: Here) -> dict[str, Any]:
 
 
 @router.post(
-    "/v1/models/{id}/evaluate", responses={**problems(400, 404, 413, 422), **array_response(schemas.EvaluationDocument)},
+    "/v1/models/{id}/evaluate",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.EvaluationDocument)},
     openapi_extra=array_request("wi", "wo"),
 )  # fmt: skip
 def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
@@ -88,7 +90,8 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 
 
 @router.post(
-    "/v1/models/{id}/pdf", responses={**problems(400, 404, 413, 422), **array_response(schemas.PdfDocument)},
+    "/v1/models/{id}/pdf",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.PdfDocument)},
     openapi_extra=array_request("wi", "wo"),
 )  # fmt: skip
 def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
@@ -100,7 +103,8 @@ def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
 
 
 @router.post(
-    "/v1/models/{id}/albedo", responses={**problems(400, 404, 413, 422), **array_response(schemas.AlbedoDocument)},
+    "/v1/models/{id}/albedo",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.AlbedoDocument)},
     openapi_extra=array_request("wi"),
 )  # fmt: skip
 def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
@@ -112,7 +116,8 @@ def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
 
 
 @router.post(
-    "/v1/models/{id}/sample", responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)}
+    "/v1/models/{id}/sample",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)},
 )
 def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here) -> Response:
     """Directions drawn for one incidence, with their densities and weights."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.datastructures import UploadFile
 
 import fitter
@@ -19,20 +20,38 @@ from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
 from api.routes import Limit, Offset, problems
 from api.rows import TableRow
+from api.schemas import Label
 from api.service import Here, Service
 from api.store import InUse, Missing, new_id
 from api.tables import parse
 from fitter import directions
 from fitter.documents import dumps
 from fitter.formats.describe import describe
-from fitter.formats.read_options import ReadOptions, read_options
+from fitter.formats.read_options import ReadOptions, Treatment, read_options
 from fitter.table import Quantity
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
 
 #: Bytes that are hashed and written at a time.
 CHUNK = 1 << 20
-Treatment = Literal["mask", "keep"]
+
+
+class ReadingOptions(BaseModel):
+    """What a file can't say about itself."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    quantity: Quantity | None = Field(None, description="what the values are, where the file can't say")
+    convention: str | None = Field(None, max_length=64, description="how azimuths or cells are meant")
+    item: str | None = Field(None, max_length=200, description="which table, where the file holds several")
+    columns: str | None = Field(
+        None, max_length=100_000,
+        description="delimited text: JSON object, column (name or position from 0) -> meaning, "
+        'as `{"thetai": "theta_i_deg", "5": "brdf_R"}`',
+    )  # fmt: skip
+    negatives: Treatment = Field("mask", description="whether negative values are used")
+    duplicates: Treatment = Field("mask", description="whether repeated geometries are used")
+    name: Label | None = Field(None, description="what to call it; default what the file says")
 
 
 @router.post(
@@ -40,38 +59,19 @@ Treatment = Literal["mask", "keep"]
     openapi_extra=upload_request(),
 )  # fmt: skip
 async def upload(
-    request: Request,
-    response: Response,
-    here: Here,
-    quantity: Annotated[Quantity | None, Query(description="what the values are, where the file can't say")] = None,
-    convention: Annotated[str | None, Query(max_length=64, description="how azimuths or cells are meant")] = None,
-    item: Annotated[str | None, Query(max_length=200, description="which table of a file that holds several")] = None,
-    columns: Annotated[
-        str | None,
-        Query(
-            max_length=100_000,
-            description='delimited text: JSON object of column (name or 0-based position) -> meaning, '
-            'as `{"thetai": "theta_i_deg", "5": "brdf_R"}`',
-        ),
-    ] = None,
-    negatives: Annotated[Treatment, Query(description="whether negative values are used")] = "mask",
-    duplicates: Annotated[Treatment, Query(description="whether repeated geometries are used")] = "mask",
-    name: Annotated[schemas.Label | None, Query(description="what to call it; default what the file says")] = None,
+    request: Request, response: Response, here: Here, reading: Annotated[ReadingOptions, Query()]
 ) -> dict[str, Any]:
     """Upload a measured table: the file's bytes as the body, or a form with one field `file`.
 
     The format is told by content. A file that can't be read is refused with the row and column, and
     nothing of it is kept.
     """
-    given = {
-        "quantity": quantity, "convention": convention, "item": item, "columns": _columns(columns),
-        "negatives": negatives, "duplicates": duplicates, "name": name,
-    }  # fmt: skip
+    given = {**reading.model_dump(), "columns": _columns(reading.columns)}
     options = read_options(given)
     with here.blobs.incoming(here.settings.max_upload_bytes) as incoming:
         if request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
             filename = await _receive_form(request, incoming)
-            if filename and not name:
+            if filename and not reading.name:
                 options = read_options({**given, "name": filename})
         else:
             await _receive(request, incoming)
@@ -169,7 +169,8 @@ def delete(id: str, here: Here) -> Response:
 
 
 @router.post(
-    "/{id}/evaluate", responses={**problems(400, 404, 413, 422), **array_response(schemas.TableEvaluationDocument)},
+    "/{id}/evaluate",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.TableEvaluationDocument)},
     openapi_extra=array_request("wi", "wo"),
 )  # fmt: skip
 def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
@@ -189,7 +190,8 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 
 
 @router.post(
-    "/{id}/samples", responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)},
+    "/{id}/samples",
+    responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)},
 )  # fmt: skip
 def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here: Here) -> Response:
     """Directions drawn from the raw table by rejection, exactly proportional to f_r cos(theta_o)."""

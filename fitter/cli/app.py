@@ -18,22 +18,9 @@ from fitter.errors import FitError, FitterError, SpecError
 
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
-    "info",
-    "fit",
-    "posterior",
-    "compress",
-    "decompress",
-    "sample",
-    "models",
-)
-_VERBS = (
     "info", "fit", "posterior", "report", "compress", "decompress", "sample", "models", "datasets", "serve",
     "demo",
 )  # fmt: skip
-
-
-def _wide(prog: str) -> argparse.HelpFormatter:
-    return argparse.HelpFormatter(prog, max_help_position=16)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -59,25 +46,27 @@ def verb(name: str) -> Verb:
 
 def parser(chosen: str | None = None) -> argparse.ArgumentParser:
     """The command's parser. Only the ``chosen`` verb gets its arguments: help has to be instant."""
+    found = {name: verb(name) for name in VERBS}
+    width = max(len(name) for name in VERBS)
+    listed = "\n".join(f"  {name:<{width}}  {one.summary}" for name, one in found.items())
     top = _Parser(
         prog="brdf-fitter",
-        description="Fit reflectance models to measured BRDF tables, with uncertainties.",
-        epilog="`brdf-fitter VERB --help` explains a verb. Exit status: 0 done, 1 the work failed, "
-        "2 the call or the input was wrong, 130 interrupted.",
-        allow_abbrev=False, formatter_class=_wide,
+        description=f"Fit reflectance models to measured BRDF tables.\n\nverbs:\n{listed}",
+        epilog="`brdf-fitter VERB --help` explains a verb.\n"
+        "Exit status: 0 done, 1 the work failed, 2 the call or the input was wrong, 130 interrupted.",
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
     )  # fmt: skip
     top.add_argument("--version", action="version", version=f"brdf-fitter {__version__}")
     verbs: Any = top.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=_Parser)
-    for name in VERBS:
-        found = verb(name)
+    for name, one in found.items():
         sub: _Parser = verbs.add_parser(
-            name, help=found.summary, description=f"{found.summary[0].upper()}{found.summary[1:]}.",
+            name, description=f"{one.summary[0].upper()}{one.summary[1:]}.",
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
         )  # fmt: skip
-        sub.verb = found
+        sub.verb = one
         if name != chosen:
             continue
-        found.configure(sub)
+        one.configure(sub)
         sub.add_argument(
             "--json", action="store_true", help="print one JSON document on standard output and nothing else"
         )

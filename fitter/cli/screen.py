@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, TextIO
 
@@ -63,7 +63,7 @@ class Screen:
             self.line(f"{name:<{width}}  {value}")
 
     @contextmanager
-    def progress(self, what: str) -> Iterator[Callable[[float, str], None]]:
+    def progress(self, what: str) -> Generator[Callable[[float, str], None]]:
         """A progress callback that draws a bar on standard error, where one is wanted."""
         from fitter.progress import ignore
 

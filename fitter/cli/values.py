@@ -39,15 +39,15 @@ def _number(value: str, text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r}: {value!r} is not a number") from None
 
 
-def output_folder(text: str) -> Path:
+def output_folder(text: str, parameter: str = "out") -> Path:
     """A folder that can be written to; made now, because work that can't be kept should not begin."""
     folder = Path(text)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _unwritable(folder, error.strerror or str(error)) from error
+        raise _unwritable(folder, error.strerror or str(error), parameter) from error
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise _unwritable(folder, "permission denied")
+        raise _unwritable(folder, "permission denied", parameter)
     return folder
 
 
@@ -60,8 +60,8 @@ def output_file(text: str) -> Path:
     return path
 
 
-def _unwritable(path: Path, reason: str) -> SpecError:
+def _unwritable(path: Path, reason: str, parameter: str = "out") -> SpecError:
     return SpecError(
-        f"can't be written: {reason}", code="out-not-writable", file=str(path), parameter="out",
-        remedy="choose another --out",
+        f"can't be written: {reason}", code="out-not-writable", file=str(path),
+        parameter=parameter, remedy=f"choose another --{parameter}",
     )  # fmt: skip

@@ -191,7 +191,9 @@ def _step(
     matrix: FloatArray, rhs: FloatArray, p: FloatArray, lower: FloatArray, upper: FloatArray, damping: float
 ) -> tuple[FloatArray, float]:
     """The bounded damped step of the quadratic model and by how much the objective falls along it."""
-    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    diagonal = np.diagonal(matrix)
+    # A parameter that moves nothing (the roughness of a lobe of no strength) has no curvature.
+    scale = np.sqrt(np.where(diagonal > 1e-200, diagonal, 1.0))
     g = matrix / np.outer(scale, scale)
     r = rhs / scale
     # min d.g.d/2 - r.d as least squares on the eigenvectors of g, which survives a singular g.

@@ -143,6 +143,7 @@ def _angles(roles: tuple[str, ...]) -> Callable[[Source, ReadOptions, Rows, Floa
         names = dict(zip(roles, rows.names, strict=False))
         turned = geo.to_radians(source, angles, dict.fromkeys(roles, "rad"), names, rows.numbers)
         if roles[0] == "theta_h":
+            geo.refuse_convention(source, options.convention)
             return geo.from_half_difference(turned)
         return geo.from_angles(source, turned, options.convention)
 
@@ -161,6 +162,7 @@ def _projected(source: Source, options: ReadOptions, rows: Rows, inputs: FloatAr
 
 def _cartesian(source: Source, options: ReadOptions, rows: Rows, inputs: FloatArray) -> geo.Geometry:
     """View vector first, then light vector."""
+    geo.refuse_convention(source, options.convention)
     return geo.from_vectors(
         source, inputs[:, 3:], inputs[:, :3], rows.numbers, (rows.names[3], rows.names[0])
     )

@@ -65,6 +65,11 @@ def assemble(
             f"{int((cos_o == 0).sum())} rows lie on the horizon, where a cosine-weighted value gives no "
             "BRDF: they count as missing."
         )
+    zeros = int(np.count_nonzero(value == 0))
+    if zeros:
+        notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
+    if not source.ends_in_newline:
+        notes.append("The last line has no line end: check that the file is whole.")
     one = _common_incidence(geometry)
     if len(value) == 1:
         notes.append("The table holds one sample: no model can be told from another by it.")

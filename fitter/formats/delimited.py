@@ -53,7 +53,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     numbers = dict(zip(used, rows.floats(used).T, strict=True))
     ignored = [name for k, name in enumerate(rows.names) if k not in columns]
     if ignored:
-        notes.append(f"Columns not used: {', '.join(ignored)}.")
+        notes.append(f"Columns not used: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}.")
     whole = np.arange(len(rows))
     return [
         _table(source, options, head, rows, columns, numbers, system, quantity, notes, *part)
@@ -164,6 +164,8 @@ def _table(
     geometry_columns = {role: numbers[k][part] for role, k in by_role.items()}
     names = {role: rows.names[k] for role, k in by_role.items()}
     convention = options.convention or head.stated.get("convention")
+    if system != "angles":
+        geo.refuse_convention(source, convention)
     if system == "vectors":
         wi, wo = (np.stack([geometry_columns[f"{w}_{x}"] for x in "xyz"], axis=1) for w in ("wi", "wo"))
         geometry = geo.from_vectors(source, wi, wo, row_numbers, (names["wi_x"], names["wo_x"]))

@@ -151,6 +151,15 @@ def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: st
     return Geometry(wi, wo, convention, tuple(notes), systems, not turns)
 
 
+def refuse_convention(source: Source, convention: str | None) -> None:
+    """Raise TableError where a convention about azimuths is given for directions that need none."""
+    if convention not in (None, "phi_specular_180"):
+        raise source.error(
+            f"convention {convention!r} means nothing for vectors or half-difference angles",
+            "table-convention", parameter="convention", remedy="leave it out",
+        )  # fmt: skip
+
+
 def from_half_difference(angles: Mapping[str, FloatArray]) -> Geometry:
     """Geometry from Rusinkiewicz angles theta_h, theta_d, phi_d and optionally phi_h (radians)."""
     phi_h = angles.get("phi_h")
@@ -184,7 +193,7 @@ def from_vectors(
         if rounded.any():
             notes.append(f"{int(rounded.sum())} vectors of {name} were scaled to unit length.")
             given = np.where(rounded[:, None], given / np.where(rounded, length, 1.0)[:, None], given)
-        known = np.isfinite(given[:, 0] + given[:, 1] + given[:, 2])
+        known = np.logical_and.reduce(np.isfinite(given), axis=1)
         pair.append(np.where(known[:, None], given, np.nan))
     return Geometry(pair[0], pair[1], "vectors", tuple(notes))
 
@@ -215,7 +224,10 @@ def find_grid(
         _, first, place = np.unique(np.round(c, 9), return_index=True, return_inverse=True)
         if len(first) < smallest or (name.startswith("theta") and c.min() < 0):
             return None
-        axes[name] = c[first]
+        node = c[first]
+        if name.startswith("theta_") and system != "half_difference":
+            node = np.where(np.abs(node - np.pi / 2) < HORIZON, np.pi / 2, node)
+        axes[name] = node
         places.append(place.reshape(-1))
     shape = tuple(len(axis) for axis in axes.values())
     n = len(coordinates[0])

@@ -7,9 +7,10 @@ import os
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias, cast
 
 from fitter.errors import SpecError, TableError
 from fitter.formats.read_options import ReadOptions, Treatment
@@ -90,34 +91,45 @@ def load_all(
         negatives=negatives, duplicates=duplicates, name=name,
     )  # fmt: skip
     tables: list[Table] = []
-    for one in _sources(source, name):
+    inner = False
+    for one, inner in _sources(source, name):
         entry = detect(one)
         if convention is not None and convention not in entry.conventions:
             raise one.error(
                 f"convention {convention!r} is not for {entry.name} files", "table-convention",
-                parameter="convention", remedy=f"use one of {', '.join(entry.conventions)}, or leave it out",
+                parameter="convention",
+                remedy=f"use one of {', '.join(entry.conventions)}" if entry.conventions else "leave it out",
             )  # fmt: skip
-        tables.extend(entry.read(one, options))
+        # One name can't be that of every file in a container.
+        tables.extend(entry.read(one, replace(options, name=None) if inner else options))
     if not tables:
         raise TableError("there is no file to read", code="table-empty", file=_name_of(source, name))
-    return tables if item is None else [_select(tables, item, _name_of(source, name))]
+    if item is not None:
+        tables = [_select(tables, item, _name_of(source, name))]
+    if inner and name is not None and len(tables) == 1:
+        tables[0].metadata = replace(tables[0].metadata, name=name)
+    return tables
 
 
-def _sources(given: object, name: str | None) -> Iterator[Source]:
+def _sources(given: object, name: str | None) -> Iterator[tuple[Source, bool]]:
+    """Every file in ``given``, and whether it was found inside a folder, archive or list."""
     if isinstance(given, list | tuple):
-        for one in given:
-            yield from _sources(one, None)
+        for one in cast("list[object]", given):
+            for source, _ in _sources(one, None):
+                yield source, True
         return
     if isinstance(given, str | os.PathLike) and os.path.isdir(given):
         for path in sorted(Path(given).iterdir()):
             if path.is_file() and not path.name.startswith("."):
-                yield from _sources(path, None)
+                for source, _ in _sources(path, None):
+                    yield source, True
         return
     source = Source(given, name)  # type: ignore[arg-type]  # Source itself refuses what it can't read
     if source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
-        yield from _members(source)
+        for member in _members(source):
+            yield member, True
     else:
-        yield source
+        yield source, False
 
 
 def _members(archive: Source) -> Iterator[Source]:

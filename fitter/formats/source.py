@@ -93,6 +93,11 @@ class Source:
         """All bytes."""
         return bytes(self.buffer)
 
+    @property
+    def ends_in_newline(self) -> bool:
+        """Whether the last line is ended; a text cut in the middle of a number is not."""
+        return bytes(self.buffer[-1:]) in (b"\n", b"\r")
+
     @cached_property
     def sha256(self) -> str:
         """Hexadecimal digest of all bytes."""

@@ -116,8 +116,8 @@ def _table(fitted: Fitted) -> dict[str, Any]:
     mismatch = None
     if fitted_hash and fitted_hash != table.hash:
         mismatch = (
-            "The table given to this report is not the one that was fitted (their hashes differ): residuals and "
-            "slices compare the fit with other data."
+            "The table given to this report is not the one that was fitted (their hashes differ): residuals "
+            "and slices compare the fit with other data."
         )
     return {
         "description": describe(table),

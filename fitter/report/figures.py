@@ -25,6 +25,8 @@ LINES = ("-", "--", "-.", ":")
 INK, GRID = "#222222", "#dddddd"
 WIDTH, HEIGHT = 4.6, 3.2
 DPI = 200
+#: Relative residuals that spread wider than this are drawn linear to 1 and logarithmic beyond.
+SYMLOG = 4.0
 
 
 @dataclass(frozen=True)
@@ -91,27 +93,32 @@ def residual_pictures(record: Record) -> list[Picture]:
     colour = colours(section["shown"])
     found: list[Picture] = []
     for angle in section["angles"].values():
-        figure, axes = panel(f"Residual against {angle['label']}", f"{angle['label']} (deg)", "relative residual")
+        label = angle["label"]
+        figure, axes = panel(f"Residual against {label}", f"{label} (deg)", "relative residual")
         axes.axhline(0, color=INK, linewidth=0.8)
         edges: list[float] = []
         for k, name in enumerate(names):
             y, binned = _floats(section["relative"][name]), angle["binned"][name]
             axes.plot(
-                _floats(angle["points"]), y, ".", color=colour[name], markersize=2, alpha=0.25, rasterized=True,
-                zorder=1,
+                _floats(angle["points"]), y, ".",
+                color=colour[name], markersize=2, alpha=0.25, rasterized=True, zorder=1,
             )  # fmt: skip
-            axes.fill_between(binned["angle"], binned["lower"], binned["upper"], color=colour[name], alpha=0.13)
+            at, lower, upper = (_floats(binned[end]) for end in ("angle", "lower", "upper"))
+            axes.fill_between(at, lower, upper, color=colour[name], alpha=0.13)
             axes.plot(
                 binned["angle"], binned["median"], LINES[k], marker=MARKERS[k], color=colour[name],
                 markersize=4, linewidth=1.6, label=plain(name, 24), zorder=3,
             )  # fmt: skip
             edges += [*binned["lower"], *binned["upper"]]
         if names:
-            axes.set_ylim(*_residual_limits(edges))
+            low, high = _residual_limits(edges)
+            if high - low > SYMLOG:
+                axes.set_yscale("symlog", linthresh=1.0)
+            axes.set_ylim(low, high)
             legend(axes, loc="best", title="median", title_fontsize=8.5)
         else:
             _nothing(axes, "no relative residual: every value is zero")
-        found.append(picture(figure, f"Relative residual against {angle['label']}, with binned medians per channel."))
+        found.append(picture(figure, f"Relative residual against {label}, with binned medians per channel."))
     return found
 
 
@@ -130,16 +137,16 @@ def map_pictures(record: Record) -> list[Picture]:
         )
         axes.grid(False)
         mesh = axes.pcolormesh(
-            _floats(area["x_edges"]), _floats(area["y_edges"]), np.ma.masked_invalid(_floats(area["median"][name])),
+            _floats(area["x_edges"]), _floats(area["y_edges"]),
+            np.ma.masked_invalid(_floats(area["median"][name])),
             cmap="PuOr_r", vmin=-limit, vmax=limit, rasterized=True,
         )  # fmt: skip
         bar = figure.colorbar(mesh, ax=axes, extend="both")
         bar.set_label("median relative residual", fontsize=9, color=INK)
         bar.ax.tick_params(labelsize=8.5, colors=INK)
         axes.set_facecolor("#eeeeee")
-        found.append(
-            picture(figure, f"Map of the median relative residual of channel {name}; grey where nothing was measured.")
-        )
+        alt = f"Map of the median relative residual of channel {name}; grey where nothing was measured."
+        found.append(picture(figure, alt))
     return found
 
 
@@ -162,10 +169,15 @@ def slice_pictures(record: Record) -> list[Picture]:
                 lower, upper = (_floats(cut["curve"][end][name]) for end in ("lower", "upper"))
                 axes.fill_between(x, lower, upper, color=colour[name], alpha=0.18, linewidth=0)
             axes.plot(
-                _floats(cut["points"]["theta_o_deg"]), np.where(measured > 0, measured, np.nan) if log else measured,
+                _floats(cut["points"]["theta_o_deg"]),
+                np.where(measured > 0, measured, np.nan) if log else measured,
                 MARKERS[k], color=colour[name], markersize=3.2, markerfacecolor="none", markeredgewidth=0.8,
             )  # fmt: skip
-            axes.plot(x, fit, LINES[k], color=colour[name], linewidth=1.6, label=plain(name, 24))
+            axes.plot(x, fit, LINES[k], color=colour[name], linewidth=1.6)
+            axes.plot(
+                [], [], LINES[k], marker=MARKERS[k], color=colour[name], markersize=3.2,
+                markerfacecolor="none", linewidth=1.6, label=plain(name, 24),
+            )  # fmt: skip
             positive += [*measured[measured > 0], *fit[fit > 0]]
         if log and positive:
             axes.set_yscale("log")
@@ -177,8 +189,8 @@ def slice_pictures(record: Record) -> list[Picture]:
         found.append(
             picture(
                 figure,
-                f"Measured values (markers), fit (line){band} in the plane of incidence at {incidence} degrees; "
-                "the dashed vertical line marks the specular direction.",
+                f"Measured values (markers), fit (line){band} in the plane of incidence at {incidence} "
+                "degrees; the dashed vertical line marks the specular direction.",
             )
         )
     return found
@@ -203,8 +215,8 @@ def reflectance_picture(record: Record) -> Picture:
     if np.nanmax(values, initial=0.0) > 20:
         axes.set_yscale("log")
     else:
-        axes.set_ylim(bottom=0)
-    axes.set_xlim(0, 90)
+        axes.set_ylim(0, 1.12 * float(np.nanmax(values, initial=1e-3)))
+    axes.set_xlim(-2, 90)
     legend(axes, loc="best")
     return picture(
         figure,

@@ -38,8 +38,8 @@ def corner_picture(record: Record) -> Picture | None:
         axes.tick_params(labelsize=8, colors=INK)
     return picture(
         figure,
-        "Corner plot of the posterior: the density of each parameter with its median and 95 % credible interval, "
-        "and of each pair; lines mark the least-squares estimates.",
+        "Corner plot of the posterior: the density of each parameter with its median and 95 % credible "
+        "interval, and of each pair; lines mark the least-squares estimates.",
     )
 
 
@@ -48,9 +48,10 @@ def convergence_pictures(record: Record) -> list[Picture]:
     section = record["posterior"]
     history: list[dict[str, Any]] = section["history"]
     found: list[Picture] = []
+    targets = section["targets"]
     for key, title, y, target, better in (
-        ("rhat", "Largest R-hat", "R-hat − 1", section["targets"]["rhat"] - 1, "below"),
-        ("ess", "Smallest effective sample size", "effective sample size", section["targets"]["ess"], "above"),
+        ("rhat", "Largest R-hat", "R-hat − 1", targets["rhat"] - 1, "below"),
+        ("ess", "Smallest effective sample size", "effective sample size", targets["ess"], "above"),
     ):
         rows = [(h.get("steps"), h.get(key)) for h in history]
         points = np.array([(s, v) for s, v in rows if s is not None and v is not None], dtype=np.float64)
@@ -62,5 +63,6 @@ def convergence_pictures(record: Record) -> list[Picture]:
         axes.axhline(target, color=VERMILLION, linestyle="--", linewidth=1.4, label="target")
         axes.set_yscale("log")
         legend(axes, loc="best")
-        found.append(picture(figure, f"{title} against steps; converged when {better} the dashed target line."))
+        alt = f"{title} against steps; converged when {better} the dashed target line."
+        found.append(picture(figure, alt))
     return found

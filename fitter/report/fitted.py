@@ -61,8 +61,7 @@ class Fitted:
     @cached_property
     def shown(self) -> tuple[int, ...]:
         """Positions, among the model's channels, of those that figures show."""
-        count = len(self.columns)
-        return tuple(np.unique(np.linspace(0, count - 1, min(count, MOST_CHANNELS)).round().astype(int)).tolist())
+        return spread(len(self.columns), MOST_CHANNELS)
 
     @cached_property
     def index(self) -> IndexArray:
@@ -80,15 +79,20 @@ class Fitted:
 
     def values(self, index: IndexArray) -> FloatArray:
         """(n, C) measured values of rows ``index``, 1/sr, in the order of the model's channels."""
-        return self.table.value[np.ix_(index, self.columns)]
+        return self.table.value[index][:, list(self.columns)]
 
     def sigma(self, index: IndexArray) -> FloatArray | None:
         """(n, C) stated standard uncertainties, 1/sr, or None."""
-        return None if self.table.sigma is None else self.table.sigma[np.ix_(index, self.columns)]
+        return None if self.table.sigma is None else self.table.sigma[index][:, list(self.columns)]
 
     def subsample(self, size: int, seed: int) -> IndexArray:
         """At most ``size`` of :attr:`index`, drawn without replacement with ``seed``, in order."""
         return thin(self.index, size, seed)
+
+
+def spread(count: int, most: int) -> tuple[int, ...]:
+    """At most ``most`` of the positions 0 to ``count`` - 1, the ends among them, evenly spaced."""
+    return tuple(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist())
 
 
 def thin(index: IndexArray, size: int, seed: int) -> IndexArray:

@@ -41,11 +41,8 @@ def _environment() -> Environment:
         loader=PackageLoader("fitter.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["number"] = number
-    environment.filters["share"] = lambda x: NOT_STATED if x is None else percent(x)
-    environment.filters["words"] = lambda text: str(text).replace("_", " ")
-    environment.filters["facts"] = lambda mapping: list(facts(mapping))
-    environment.filters["pretty"] = lambda item: json.dumps(item, indent=2, ensure_ascii=False)
+    for function in (number, share, words, facts, pretty):
+        environment.filters[function.__name__] = function
     return environment
 
 
@@ -53,7 +50,22 @@ def number(x: float | None, digits: int = 3) -> str:
     """A number of the record for print, "—" for None."""
     if x is None:
         return NOT_STATED
-    return f"{x:,}" if isinstance(x, int) else significant(x, digits)
+    return f"{x:,}" if isinstance(x, int) else significant(x, digits)  # counts; years have four digits
+
+
+def share(x: float | None) -> str:
+    """A relative quantity of the record for print."""
+    return NOT_STATED if x is None else percent(x)
+
+
+def words(text: str) -> str:
+    """An identifier as words."""
+    return text.replace("_", " ")
+
+
+def pretty(item: Any) -> str:
+    """Indented JSON."""
+    return json.dumps(item, indent=2, ensure_ascii=False)
 
 
 def facts(item: Any, name: str = "") -> Iterator[tuple[str, str]]:

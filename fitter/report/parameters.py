@@ -26,6 +26,10 @@ LEVEL = 0.95
 MOST_CORRELATED = 16
 #: From this correlation on two parameters are not well told apart.
 STRONG = 0.9
+#: Strongest pairs that are looked at for words.
+MOST_PAIRS = 200
+#: Beyond this correlation, with a u beyond this share of an estimate, two are hardly separable.
+HARDLY, BADLY = 0.99, 0.1
 #: A standard uncertainty beyond this share of the estimate: the table barely determines the parameter.
 BARELY = 0.5
 
@@ -85,19 +89,29 @@ def correlation(fitted: Fitted) -> dict[str, Any]:
     matrix = fit.covariance[np.ix_(stated, stated)] / np.outer(deviation[stated], deviation[stated])
     upper = np.triu_indices(len(labels), 1)
     values = matrix[upper]
-    order = np.argsort(-np.abs(np.where(np.isfinite(values), values, 0.0)), kind="stable")[:6]
+    order = np.argsort(-np.abs(np.where(np.isfinite(values), values, 0.0)), kind="stable")
+    order = order[np.isfinite(values[order])][:MOST_PAIRS]
+    estimates: dict[str, float] = {}
+    for name, e in fit.parameters.items():
+        channels = fit.model.channels if e.value.ndim else (None,)
+        estimates |= {
+            label_of(name, c): abs(float(v)) for c, v in zip(channels, np.atleast_1d(e.value), strict=True)
+        }
+    share = [deviation[k] / max(estimates[fit.labels[k]], 1e-300) for k in stated]
     pairs = [
-        {"a": shown[upper[0][k]], "b": shown[upper[1][k]], "r": float(values[k])}
-        for k in order
-        if math.isfinite(values[k])
+        {"a": shown[i], "b": shown[j], "r": float(matrix[i, j])}
+        for i, j in ((upper[0][k], upper[1][k]) for k in order)
     ]
+    least_known = [max(share[upper[0][k]], share[upper[1][k]]) for k in order]
+    words = [_in_words(pair, u) for pair, u in zip(pairs, least_known, strict=True)]
     keep = _shown(labels, fitted)
     return {
         "labels": [shown[k] for k in keep],
         "of": len(fit.labels),
         "matrix": drawn(matrix[np.ix_(keep, keep)]),
-        "strongest": pairs,
-        "in_words": [_in_words(pair) for pair in pairs if abs(pair["r"]) >= STRONG],
+        "strongest": pairs[:6],
+        "not_separable": [text for kind, text in words if kind == "not separable"][:4],
+        "correlated": [text for kind, text in words if kind == "correlated"][:4],
     }
 
 
@@ -112,16 +126,19 @@ def _shown(labels: list[str], fitted: Fitted) -> list[int]:
     return keep[:MOST_CORRELATED]
 
 
-def _in_words(pair: dict[str, Any]) -> str:
-    kind = "sum" if pair["r"] < 0 else "ratio"
-    if abs(pair["r"]) > 0.99:
-        return (
-            f"{pair['a']} and {pair['b']} are not separable with this table (r = {pair['r']:.3f}): "
-            f"only a combination like their {kind} is determined."
+def _in_words(pair: dict[str, Any], share: float) -> tuple[str, str]:
+    """Kind of a correlation and what it means; one parameter in two channels merely moves together."""
+    a, b, r = pair["a"], pair["b"], pair["r"]
+    if abs(r) < STRONG or a.partition("[")[0] == b.partition("[")[0]:
+        return "", ""
+    kind = "sum" if r < 0 else "ratio"
+    if abs(r) > HARDLY and share > BADLY:
+        return "not separable", (
+            f"{a} and {b} are hardly separable with this table (r = {r:.3f}): a combination like their "
+            f"{kind} is determined far better than either."
         )
-    return (
-        f"{pair['a']} and {pair['b']} are strongly correlated (r = {pair['r']:.2f}): "
-        f"a combination like their {kind} is better determined than either."
+    return "correlated", (
+        f"{a} and {b} are strongly correlated (r = {r:.2f}): a combination like their {kind} is better known."
     )
 
 
@@ -203,7 +220,11 @@ def _noise_rows(fitted: Fitted, posterior: Posterior) -> list[dict[str, Any]]:
     known = set(fitted.fit.parameters)
     intervals = posterior.intervals(LEVEL)
     return [
-        {"label": label, "display": display(label, fitted.fit.model.channels), "posterior": _posterior_row(posterior, intervals, label)}
+        {
+            "label": label,
+            "display": display(label, fitted.fit.model.channels),
+            "posterior": _posterior_row(posterior, intervals, label),
+        }
         for label in posterior.labels
         if label.partition("[")[0] not in known
     ]

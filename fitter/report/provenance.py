@@ -47,7 +47,8 @@ def commands(fit: FitResult, posterior: Posterior | None) -> list[str]:
     source: Mapping[str, Any] = fit.table.get("source") or {}
     file = PurePath(str(source["path"])).name if source.get("path") else "FILE"
     words = ["brdf-fitter", "fit", file, "--model", spec.model.name]
-    words += ["--metric", str(spec.metric or fit.table.get("metric", ""))] if spec.metric or "metric" in fit.table else []
+    metric = spec.metric or fit.table.get("metric")
+    words += ["--metric", str(metric)] if metric else []
     words += ["--solver", spec.solver] if spec.solver != "optimistix" else []
     for name, value in spec.fixed.items():
         words += ["--fixed", f"{name}={value!r}"]

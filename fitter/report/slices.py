@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted, IndexArray, restricted, thin
+from fitter.report.fitted import Fitted, IndexArray, restricted, spread, thin
 from fitter.table import Table
 
 if TYPE_CHECKING:
@@ -34,7 +34,13 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     """Up to six slices, JSON-ready: theta_o signed in degrees, positive on the specular side; f in 1/sr."""
     index, tolerance = _near_plane(fitted)
     if not len(index):
-        return {"plane_tolerance_deg": tolerance, "azimuth_deg": None, "channels": [], "level": None, "slices": []}
+        return {
+            "plane_tolerance_deg": tolerance,
+            "azimuth_deg": None,
+            "channels": [],
+            "level": None,
+            "slices": [],
+        }
     wi, wo = fitted.table.directions(index)
     index, wi, wo, azimuth = _one_azimuth(fitted.table, index, wi, wo)
     theta_i, _ = directions.spherical_from_vector(wi)
@@ -42,9 +48,10 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     groups = _incidences(np.rad2deg(theta_i))
     names = fitted.fit.model.channels
     shown = tuple(names[c] for c in fitted.shown)
-    curves = [_curve(float(np.median(theta_i[g])), np.rad2deg(signed[g])) for g in groups]
+    incidences = [float(np.median(theta_i[g])) for g in groups]
+    curves = [_curve(theta, np.rad2deg(signed[g])) for theta, g in zip(incidences, groups, strict=True)]
     phi = 0.0 if azimuth is None else np.deg2rad(azimuth)
-    pairs = [_pairs(float(np.median(theta_i[g])), curve, phi) for g, curve in zip(groups, curves, strict=True)]
+    pairs = [_pairs(theta, curve, phi) for theta, curve in zip(incidences, curves, strict=True)]
     at_i, at_o = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
     values = np.asarray(fitted.fit.model.evaluate(at_i, at_o))[:, fitted.shown]
     band = None if posterior is None else restricted(posterior, shown).predict(at_i, at_o, LEVEL)
@@ -54,21 +61,21 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
         point = thin(group, MOST_POINTS, seed)
         measured = fitted.values(index[point])[:, fitted.shown]
         fit_k = np.split(values, ends)[k]
-        bands = None if band is None else [np.split(edge, ends)[k] for edge in band]
+        lower, upper = (None, None) if band is None else (np.split(edge, ends)[k] for edge in band)
         found.append(
             {
-                "theta_i_deg": float(np.rad2deg(np.median(theta_i[group]))),
+                "theta_i_deg": float(np.rad2deg(incidences[k])),
                 "samples": len(group),
                 "axis": _axis(measured),
                 "points": {
                     "theta_o_deg": drawn(np.rad2deg(signed[point])),
-                    "measured": {name: drawn(measured[:, c]) for c, name in enumerate(shown)},
+                    "measured": _by_channel(shown, measured),
                 },
                 "curve": {
                     "theta_o_deg": drawn(curves[k], 7),
-                    "fit": {name: drawn(fit_k[:, c]) for c, name in enumerate(shown)},
-                    "lower": None if bands is None else {n: drawn(bands[0][:, c]) for c, n in enumerate(shown)},
-                    "upper": None if bands is None else {n: drawn(bands[1][:, c]) for c, n in enumerate(shown)},
+                    "fit": _by_channel(shown, fit_k),
+                    "lower": None if lower is None else _by_channel(shown, lower),
+                    "upper": None if upper is None else _by_channel(shown, upper),
                 },
             }
         )
@@ -81,17 +88,19 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     }
 
 
+def _by_channel(names: tuple[str, ...], columns: FloatArray) -> dict[str, list[float]]:
+    return {name: drawn(column) for name, column in zip(names, columns.T, strict=True)}
+
+
 def _near_plane(fitted: Fitted) -> tuple[IndexArray, float]:
     """Rows near the plane of incidence, and the distance from it (degrees) that had to be allowed."""
     off: list[FloatArray] = []
     for start in range(0, len(fitted.index), CHUNK):
         off.append(_off_plane(*fitted.table.directions(fitted.index[start : start + CHUNK])))
     distance = np.rad2deg(np.concatenate(off))
-    for tolerance in PLANE_DEG:
-        near = distance <= tolerance
-        if near.sum() >= min(ENOUGH, len(distance)):
-            break
-    return fitted.index[near], tolerance
+    enough = min(ENOUGH, len(distance))
+    tolerance = next((t for t in PLANE_DEG if np.sum(distance <= t) >= enough), PLANE_DEG[-1])
+    return fitted.index[distance <= tolerance], tolerance
 
 
 def _off_plane(wi: FloatArray, wo: FloatArray) -> FloatArray:
@@ -154,8 +163,7 @@ def _incidences(theta_i: FloatArray) -> list[IndexArray]:
     counts = np.bincount(group)
     least = min(int(counts.max()), max(3, int(counts.max()) // 10))
     usable = np.flatnonzero(counts >= least)
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), MOST_SLICES)).round().astype(int))]
-    return [np.flatnonzero(group == k) for k in chosen]
+    return [np.flatnonzero(group == usable[k]) for k in spread(len(usable), MOST_SLICES)]
 
 
 def _curve(theta_i: float, measured: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ HEADLINES = {
     "bad": "Do not rely on this fit.",
 }
 #: Relative rmse from which on the model misses the table so much that it must be said.
-LARGE_MISFIT = 0.2
+LARGE_MISFIT, USELESS_MISFIT = 0.2, 1.0
 #: Birge ratio from which on the stated noise does not explain the residuals.
 LARGE_BIRGE = 2.0
 MOST_NAMED = 6
@@ -47,9 +47,15 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
     relative = fit["metrics"].get("relative_rmse")
     if relative is None:
         bad.append("The relative misfit is not a finite number.")
+    elif relative > USELESS_MISFIT:
+        bad.append(
+            "The model misses the table by more than the values themselves "
+            f"({percent(relative)} relative rmse)."
+        )
     elif relative > LARGE_MISFIT:
         caution.append(
-            f"The model misses the table by {percent(relative)} (relative rmse, more than {percent(LARGE_MISFIT)})."
+            f"The model misses the table by {percent(relative)} (relative rmse; more than "
+            f"{percent(LARGE_MISFIT)} asks for care)."
         )
     r2 = fit["metrics"].get("r2")
     if r2 is not None and r2 < 0:
@@ -62,11 +68,15 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
         if labels:
             verb = "lies" if len(labels) == 1 else "lie"
             bound = state.removeprefix("on its ")
-            caution.append(f"{_listed(labels)} {verb} on the {bound}: no symmetric uncertainty can be stated.")
+            caution.append(
+                f"{_listed(labels)} {verb} on the {bound}: no symmetric uncertainty can be stated."
+            )
     barely = [row["display"] for row in rows if row["barely_determined"]]
     if barely:
-        caution.append(f"{_listed(barely)} {_be(barely)} barely determined (u is more than half the estimate).")
-    caution += record["correlation"]["in_words"][:3]
+        caution.append(
+            f"{_listed(barely)} {_be(barely)} barely determined (u is more than half the estimate)."
+        )
+    caution += record["correlation"]["not_separable"]
     if posterior is not None and posterior["status"] != "converged":
         caution.append(f"The posterior did not converge: {_stop(posterior['message'])}")
     high = [row["theta_i_deg"] for row in record["reflectance"]["rows"] if row["above_one"]]
@@ -98,7 +108,10 @@ def _misfit(record: Record) -> str:
         text += f", {significant(birge, 2)} times the stated measurement uncertainty (Birge ratio)"
     share = _systematic(record)
     if share is not None:
-        text += f"; at least {percent(share)} of the residual variance is systematic misfit of the model, not noise"
+        text += (
+            f"; at least {percent(share)} of the residual variance is systematic misfit of the model, "
+            "not noise"
+        )
     return text + "."
 
 
@@ -112,7 +125,8 @@ def _parameters(record: Record) -> str:
     parts: list[str] = []
     if len(stated) == len(free):
         every = "the free parameter is" if len(free) == 1 else f"all {len(free)} free parameters are"
-        parts.append(f"{_capital(every)} determined by the table and inside the bounds" if free else "No parameter was free")
+        known = f"{_capital(every)} determined by the table and inside the bounds"
+        parts.append(known if free else "No parameter was free")
     else:
         parts.append(f"{len(stated)} of {len(free)} free parameters have a standard uncertainty")
         if bound:
@@ -126,9 +140,9 @@ def _parameters(record: Record) -> str:
         _, worst = max(shares, key=lambda pair: pair[0])
         text, k = worst["text"], parameters["coverage_factor"]
         parts.append(
-            f"the least well known is {worst['display']}, estimate y = {text['estimate']} with standard uncertainty "
-            f"u = {text['standard_uncertainty']} and expanded uncertainty U = k u = {text['expanded_uncertainty']} "
-            f"(k = {k:g})"
+            f"the least well known is {worst['display']}, estimate y = {text['estimate']} with standard "
+            f"uncertainty u = {text['standard_uncertainty']} and expanded uncertainty U = k u = "
+            f"{text['expanded_uncertainty']} (k = {k:g})"
         )
     return "; ".join(parts) + "."
 
@@ -136,28 +150,35 @@ def _parameters(record: Record) -> str:
 def _posterior(record: Record) -> str:
     posterior = record["posterior"]
     if posterior is None:
-        return "No posterior was sampled: there are no credible intervals, and the uncertainties rest on the fit alone."
-    rhat, bulk, tail = (posterior[name] for name in ("largest_rhat", "smallest_ess_bulk", "smallest_ess_tail"))
-    known = [x for x in (bulk, tail) if x is not None]
-    ess = f"{min(known):,.0f}" if len(known) == 2 else "—"
-    numbers = f"largest R-hat {_rhat(rhat)}, smallest effective sample size {ess}"
+        return (
+            "No posterior was sampled: there are no credible intervals, and the uncertainties rest on the "
+            "fit alone."
+        )
+    sizes = [posterior[name] for name in ("smallest_ess_bulk", "smallest_ess_tail")]
+    ess = "—" if None in sizes else f"{min(sizes):,.0f}"
+    numbers = f"largest R-hat {_rhat(posterior['largest_rhat'])}, smallest effective sample size {ess}"
     if posterior["status"] == "converged":
-        return f"The posterior converged ({numbers}); its 95 % intervals are credible intervals under the stated likelihood."
+        return (
+            f"The posterior converged ({numbers}); its 95 % intervals are credible intervals under the "
+            "stated likelihood."
+        )
     return f"The posterior did not converge ({numbers}): {_stop(posterior['message'])}"
 
 
 def _birge(record: Record) -> float | None:
     """The largest Birge ratio of the channels."""
-    found = [row["birge_ratio"] for row in record["residuals"]["per_channel"] if row["birge_ratio"] is not None]
-    return max(found, default=None)
+    return max(_known(record, "birge_ratio"), default=None)
 
 
 def _systematic(record: Record) -> float | None:
     """The median systematic share of the channels."""
-    found = sorted(
-        row["systematic_share"] for row in record["residuals"]["per_channel"] if row["systematic_share"] is not None
-    )
+    found = sorted(_known(record, "systematic_share"))
     return found[len(found) // 2] if found else None
+
+
+def _known(record: Record, name: str) -> list[float]:
+    """A number of the channels that have it."""
+    return [row[name] for row in record["residuals"]["per_channel"] if row[name] is not None]
 
 
 def _listed(labels: Sequence[str]) -> str:

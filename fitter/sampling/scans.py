@@ -18,6 +18,8 @@ IndexArray = NDArray[np.intp]
 SAME_POINT = 1e-6
 #: Half width, on the disk, of what counts as the plane of incidence.
 PLANE = 1e-3
+#: Fewer directions than this (mirror images included) say nothing about what lies between them.
+FEWEST = 8
 # A point this close outside a triangle is in it: measured points on the hull must not fall out.
 _EDGE = 1e-9
 
@@ -48,7 +50,7 @@ class Scan:
         across = scan.points @ np.array([-scan.axis[1], scan.axis[0]])
         if len(first) > 1 and float(np.abs(across).max()) < PLANE:
             return cls(incidence, scan.points, mean, "line")
-        if len(first) >= 3:
+        if len(first) >= FEWEST:
             centred = scan.points - scan.points.mean(axis=0)
             if np.linalg.svd(centred, compute_uv=False)[-1] > 1e-6:
                 return cls(incidence, scan.points, mean, "area")
@@ -113,14 +115,26 @@ class Scan:
 
     def _on_triangles(self, points: FloatArray, value: FloatArray) -> tuple[FloatArray, BoolArray]:
         mesh = self.triangulation
-        triangle = mesh.find_simplex(points, tol=_EDGE)
+        # The search for a triangle tries them all for a point outside: keep those from it.
+        inside = np.ones(len(points), bool)
+        for normal, offset in self._edges:
+            inside &= points @ normal <= offset + _EDGE
+        mine = np.flatnonzero(inside)
+        triangle = mesh.find_simplex(points[mine], tol=_EDGE)
         affine = mesh.transform[triangle]
-        first = np.einsum("mij,mj->mi", affine[:, :2], points - affine[:, 2])
+        first = np.einsum("mij,mj->mi", affine[:, :2], points[mine] - affine[:, 2])
         share = np.concatenate([first, 1.0 - first.sum(axis=1, keepdims=True)], axis=1)
-        inside = (triangle >= 0) & np.isfinite(share).all(axis=1)
-        share = np.clip(np.where(inside[:, None], share, 0.0), 0.0, 1.0)
-        found = np.einsum("mi,mic->mc", share, value[mesh.simplices[triangle]])
+        inside[mine] = (triangle >= 0) & np.isfinite(share).all(axis=1)
+        share = np.clip(np.where(inside[mine, None], share, 0.0), 0.0, 1.0)
+        found = np.zeros((len(points), value.shape[1]))
+        found[mine] = np.einsum("mi,mic->mc", share, value[mesh.simplices[triangle]])
         return found, inside
+
+    @cached_property
+    def _edges(self) -> list[tuple[FloatArray, float]]:
+        """Outward normal and offset of each edge of the hull: inside is normal . p <= offset."""
+        equations = ConvexHull(self.points).equations
+        return [(row[:2], -float(row[2])) for row in equations]
 
 
 def group(points: FloatArray, within: float) -> IndexArray:

@@ -1,18 +1,19 @@
 """The interpolant of a scattered table: triangulated scans, shifted between incidences.
 
 At a measured incidence f_r is piecewise linear on the Delaunay triangulation of the scattered directions in
-the projected disk. Between incidences the scans around wi are shifted in the disk so that their features fall
-together, and blended linearly, so that a peak moves instead of being doubled. Scatter depends on direction
-cosines mostly through the distance from the specular direction (J. E. Harvey and R. V. Shack 1978, "Aberrations
-of diffracted wave fields"); the peak of a retro-reflector moves the other way, a diffuse surface's values stay
-where they are. Which of the three a table follows is decided by the table: the one with which neighbouring
-scans predict each other best.
+the projected disk. Between incidences the scans around wi are shifted in the disk so that their features
+fall together, and blended linearly, so that a peak moves instead of being doubled. Scatter depends on
+direction cosines mostly through the distance from the specular direction (J. E. Harvey and R. V. Shack 1978,
+"Aberrations of diffracted wave fields"); the peak of a retro-reflector moves the other way; a diffuse
+surface's values, and the forward peak at grazing angles, stay where they are. Which of the three holds
+between neighbouring scans is decided by them: the one with which they predict each other best.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
 from typing import Any, cast
 
 import numpy as np
@@ -32,45 +33,56 @@ IndexArray = NDArray[np.intp]
 # Incidences closer than this on the disk are one scan: gonioreflectometers repeat to about 1e-4.
 _SAME_SCAN = 1e-3
 _CHUNK = 1 << 17
-# Pairs of neighbouring scans that are compared to find out how features move.
-_PAIRS = 32
 
 
 @dataclass(frozen=True)
 class ScatteredInterpolant:
-    """scans : those that can be interpolated (or all, as single points, where none can)."""
+    """scans : those that can be interpolated, or all where most samples are in scans that can't."""
 
     scans: tuple[Scan, ...]
     isotropic: bool
 
+    def motion(self, bracket: int) -> int:
+        """How features follow wi on the disk between the scans of a bracket.
+
+        -1 with the specular direction, 1 with wi itself (retro-reflection), 0 not at all: whichever lets
+        the bracket's scans predict each other best (least sum of absolute differences).
+        """
+        if bracket not in self._motions:
+            self._motions[bracket] = self._best_motion(self._brackets[bracket])
+        return self._motions[bracket]
+
     @cached_property
-    def motion(self) -> int:
-        """How features follow wi on the disk: -1 with the specular direction, 1 with wi itself, 0 not at all."""
-        wasted = dict.fromkeys((-1, 0, 1), 0.0)
-        for a, b in self._neighbours():
-            for scan, other in ((self.scans[a], self.scans[b]), (self.scans[b], self.scans[a])):
-                shift = other.incidence - scan.incidence
-                found = {m: scan.evaluate(other.points - m * shift) for m in wasted}
-                common = np.logical_and.reduce([inside for _, inside in found.values()])
-                for m, (value, _) in found.items():
-                    wasted[m] += float(np.abs(value - other.value)[common].sum())
-        return min(wasted, key=lambda m: wasted[m])
+    def _motions(self) -> dict[int, int]:
+        return {}
 
-    def _neighbours(self) -> list[tuple[int, int]]:
+    @property
+    def _brackets(self) -> NDArray[np.intp]:
+        """(B, 2 or 3) indices of the scans that incidences between them are blended from."""
         if self._mesh is not None:
-            triangles = self._mesh.simplices
-            edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-            pairs_of = np.unique(np.sort(edges, axis=1), axis=0)
-        else:
-            pairs_of = np.stack([np.arange(len(self.scans) - 1), np.arange(1, len(self.scans))], axis=1)
-        # A few dozen pairs decide as well as all.
-        step = max(1, len(pairs_of) // _PAIRS)
-        return [(int(a), int(b)) for a, b in pairs_of[::step]]
+            return self._mesh.simplices.astype(np.intp)
+        first = np.arange(max(len(self.scans) - 1, 1))
+        return np.stack([first, np.minimum(first + 1, len(self.scans) - 1)], axis=1)
 
-    def shift(self, wi: FloatArray, scan: Scan) -> FloatArray:
+    def _best_motion(self, bracket: NDArray[np.intp]) -> int:
+        missed = dict.fromkeys((-1, 0, 1), 0.0)
+        for scan, other in permutations((self.scans[k] for k in bracket), 2):
+            step = other.incidence - scan.incidence
+            found = {m: scan.evaluate(other.points - m * step) for m in missed}
+            common = np.logical_and.reduce([inside for _, inside in found.values()])
+            for m, (value, _) in found.items():
+                missed[m] += float(np.abs(value - other.value)[common].sum())
+        return min(missed, key=lambda m: missed[m])
+
+    def shift(self, wi: FloatArray, scan: Scan, bracket: IndexArray) -> FloatArray:
         """(M, 2) by how much ``scan`` is shifted on the disk for incidences wi (M, 2); 0 where they agree."""
-        shift = self.motion * (wi - scan.incidence)
-        return np.where(np.hypot(shift[:, :1], shift[:, 1:]) <= SAME_ANGLE, 0.0, shift)
+        step = wi - scan.incidence
+        away = np.hypot(step[:, 0], step[:, 1]) > SAME_ANGLE
+        shift = np.zeros_like(step)
+        for b in np.unique(bracket[away]):
+            mine = away & (bracket == b)
+            shift[mine] = self.motion(int(b)) * step[mine]
+        return shift
 
     @classmethod
     def build(
@@ -92,9 +104,10 @@ class ScatteredInterpolant:
                 points = np.concatenate([points, points * np.array([1.0, -1.0])])
                 values = np.concatenate([values, values])
             scans.append(Scan.build(wi[mine, :2].mean(axis=0), points, values))
+        # What most samples belong to decides; a stray direction beside full scans is no scan of its own.
         for kind in ("area", "line"):
             chosen = [scan for scan in scans if scan.kind == kind]
-            if chosen:
+            if 2 * sum(len(scan.points) for scan in chosen) >= sum(len(scan.points) for scan in scans):
                 scans = chosen
                 break
         if isotropic:
@@ -106,7 +119,7 @@ class ScatteredInterpolant:
 
     @property
     def in_plane(self) -> bool:
-        return self.scans[0].kind == "line"
+        return all(scan.kind == "line" for scan in self.scans)
 
     @cached_property
     def _incidences(self) -> FloatArray:
@@ -116,19 +129,21 @@ class ScatteredInterpolant:
     def _mesh(self) -> Any:
         return None if self.isotropic else triangulate(self._incidences)
 
-    def around(self, wi: FloatArray) -> tuple[IndexArray, FloatArray, BoolArray]:
-        """``(scan indices (M, K), weights (M, K), measured (M,))`` of incidences (M, 3).
+    def around(self, wi: FloatArray) -> tuple[IndexArray, FloatArray, IndexArray, BoolArray]:
+        """``(scan indices (M, 3), weights (M, 3), bracket (M,), measured (M,))`` of incidences (M, 3).
 
         Isotropic: the two neighbours, linear in theta_i. Anisotropic: the three incidences whose triangle on
         the disk holds wi. Outside the measured incidences: the nearest scan alone, measured False.
         """
         index = np.zeros((len(wi), 3), np.intp)
         weight = np.zeros((len(wi), 3))
+        bracket = np.zeros(len(wi), np.intp)
         if self.isotropic:
             theta = np.arctan2(wi[:, 0], wi[:, 2])
             nodes = np.arcsin(np.clip(self._incidences[:, 0], 0.0, 1.0))
             above = np.clip(np.searchsorted(nodes, theta), 1, max(len(nodes) - 1, 1))
             low, high = above - 1, np.minimum(above, len(nodes) - 1)
+            bracket = low
             width = np.where(nodes[high] > nodes[low], nodes[high] - nodes[low], np.inf)
             t = np.clip((theta - nodes[low]) / width, 0.0, 1.0)
             index[:, 0], index[:, 1] = low, high
@@ -140,12 +155,13 @@ class ScatteredInterpolant:
             first = np.einsum("mij,mj->mi", affine[:, :2], wi[:, :2] - affine[:, 2])
             measured = (triangle >= 0) & np.isfinite(first).all(axis=1)
             index = self._mesh.simplices[triangle].astype(np.intp)
+            bracket = np.maximum(triangle, 0)
             share = np.concatenate([first, 1.0 - first.sum(axis=1, keepdims=True)], axis=1)
             weight = np.clip(np.where(measured[:, None], share, 0.0), 0.0, 1.0)
         else:
             measured = np.zeros(len(wi), bool)
         self._snap(wi, index, weight, measured)
-        return index, weight / weight.sum(axis=1, keepdims=True), measured
+        return index, weight / weight.sum(axis=1, keepdims=True), bracket, measured
 
     def _snap(self, wi: FloatArray, index: IndexArray, weight: FloatArray, measured: BoolArray) -> None:
         """At a measured incidence that scan alone; outside the measured ones the nearest, as it is."""
@@ -172,7 +188,7 @@ class ScatteredInterpolant:
     def _evaluate(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, BoolArray]:
         if self.isotropic:
             wi, wo = _turned(wi, wo)
-        index, weight, measured = self.around(wi)
+        index, weight, bracket, measured = self.around(wi)
         total = np.zeros((len(wi), self.scans[0].value.shape[1]))
         extrapolated = ~measured | (wi[:, 2] <= 0) | (wo[:, 2] <= 0)
         for k in range(index.shape[1]):
@@ -180,7 +196,7 @@ class ScatteredInterpolant:
             for which in np.unique(index[used, k]):
                 scan = self.scans[which]
                 mine = np.flatnonzero(used & (index[:, k] == which))
-                shift = self.shift(wi[mine, :2], scan)
+                shift = self.shift(wi[mine, :2], scan, bracket[mine])
                 found, inside = scan.evaluate(wo[mine, :2] - shift)
                 total[mine] += weight[mine, k, None] * found
                 extrapolated[mine] |= ~inside
@@ -192,9 +208,9 @@ class ScatteredInterpolant:
         rotation = float(directions.spherical_from_vector(w)[1][0]) if self.isotropic else 0.0
         if self.isotropic:
             w, _ = _turned(w, w)
-        index, weight, measured = self.around(w)
+        index, weight, bracket, measured = self.around(w)
         parts = tuple(
-            Part(float(a), self.scans[k], self.shift(w[:, :2], self.scans[k])[0])
+            Part(float(a), self.scans[k], self.shift(w[:, :2], self.scans[k], bracket)[0])
             for k, a in zip(index[0], weight[0], strict=True)
             if a > 0
         )

@@ -2,8 +2,9 @@
 
 cos(theta) dw = dx dy, so f+ cos(theta) is, on the disk, a sum over scans of functions that are linear on
 each triangle. A candidate takes a (scan, triangle, corner) with probability proportional to its exact mass
-and then barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to that corner's hat:
-together exactly the sum. Only what falls outside the region that all scans of the blend cover is rejected.
+and then barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to that corner's
+hat: together exactly the sum. Only what falls outside the region that all scans of the blend cover is
+rejected.
 """
 
 from __future__ import annotations

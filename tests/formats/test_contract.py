@@ -22,7 +22,8 @@ each = pytest.mark.parametrize("sample", SAMPLES, ids=lambda s: s.name)
 
 
 def test_every_registered_format_has_a_sample():
-    assert {f.name for f in formats()} == {s.name for s in SAMPLES}
+    # The project's own compressed form has no independent writer: tests/compression has its tests.
+    assert {f.name for f in formats()} - {"compressed"} == {s.name for s in SAMPLES}
 
 
 def test_no_jax():

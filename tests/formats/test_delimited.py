@@ -204,7 +204,7 @@ class TestBadCells:
             ((HEADER.replace(",", ";"), "30;20,5;180;1"), "table-not-a-number", 2, "theta_o_deg"),
             ((HEADER, "30,20,180,1", "30,200,180,1"), "table-angle-range", 3, "theta_o_deg"),
             ((HEADER, "30,20,1800,1"), "table-angle-range", 2, "dphi_deg"),
-            ((HEADER.replace("deg", "rad"), ".1,.2,0,1", "30,20,180,1"), "table-angle-range", 3, "theta_i_rad"),
+            ((HEADER.replace("deg", "rad"), ".1,.2,0,1", "30,2,1,1"), "table-angle-range", 3, "theta_i_rad"),
             ((HEADER.replace("_deg", ""), "30,20,180,1"), "table-unit", None, "theta_i"),
             (("theta_i_deg,theta_o_deg,dphi_deg", "30,20,180"), "table-columns", None, None),
             (("theta_i_deg,dphi_deg,brdf", "30,20,180"), "table-columns", None, None),
@@ -317,3 +317,17 @@ class TestWriter:
         lines = path.read_text().splitlines()
         with pytest.raises(TableError, match="states 72"):
             load("\n".join(lines[:-3]).encode())
+
+
+def test_a_convention_that_means_nothing_is_refused():
+    for header, row in (("theta_h_deg,theta_d_deg,phi_d_deg,brdf", "10,20,30,1"),
+                        ("wi_x,wi_y,wi_z,wo_x,wo_y,wo_z,brdf", "0,0,1,0,0,1,1")):  # fmt: skip
+        with pytest.raises(TableError) as caught:
+            load(text(header, row), convention="phi_specular_0")
+        assert caught.value.parameter == "convention"
+
+
+def test_zeros_and_an_open_last_line_are_noted():
+    notes = load(text(HEADER, "30,20,180,0", "30,30,180,1")).metadata.notes
+    assert any("exactly 0" in note for note in notes)
+    assert any("no line end" in note for note in notes)

@@ -98,7 +98,8 @@ def test_ptfe_by_declared_columns(shared: Path):
 @pytest.mark.parametrize(
     "name",
     ["mdl/carpaint_blue.mbsdf", "rgl/aurora_white_rgb.bsdf", "ua_loft/AnoBlackEC1onAlum.bsdf",
-     "curet/abrdf.dat", "ua_loft/AnoBlackEC1onAlum.txt", "curet/table.txt", "README.md", "nist_ptfe/PTFE.data.csv"],
+     "curet/abrdf.dat", "ua_loft/AnoBlackEC1onAlum.txt",
+     "curet/table.txt", "README.md", "nist_ptfe/PTFE.data.csv"],
 )  # fmt: skip
 def test_what_is_not_read_yet_is_a_typed_error(shared: Path, name: str):
     with pytest.raises(TableError) as caught:

@@ -43,7 +43,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         screen.fields(
             {
                 "written": str(out),
-                "size": f"{file_size(small.nbytes)}; the values as float64 take {number(small.ratio, 3)} x that",
+                "size": f"{file_size(small.nbytes)}, values as float64 {number(small.ratio, 3)} times that",
                 "bound": f"|error| <= {number(small.tolerance)} (|f| + floor), floor 1 % of the median |f|",
                 "worst error": f"{number(small.worst_error, 3)} of the bound",
             }

@@ -150,7 +150,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 def fit_all(
     opened: reading.Opened, wanted: Sequence[FitSpec], out: Path | None, screen: Screen
 ) -> tuple[list[FitResult], list[dict[str, Any]]]:
-    """The fits that worked, each written to ``out`` as soon as it is there, and the failures of the others."""
+    """The fits that worked, each written to ``out`` as soon as it is there, and the others' failures."""
     from fitter.cli.results import file_name, remember
     from fitter.fitting import fit
 

@@ -1,0 +1,111 @@
+"""Fits: from an uploaded table to parameters, a model, a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fitter
+from fitter.fitting import FitResult
+
+
+def test_job_holds_what_came_of_each_model(job: dict[str, Any]) -> None:
+    assert job["state"] == "done"
+    assert job["progress"]["share"] == 1
+    done, failed = job["results"]
+    assert (done["model"], done["kind"]) == ("oren_nayar", "fit")
+    assert done["links"]["self"] == f"/v1/fits/{done['id']}"
+    assert failed["model"] == "ward"
+    assert failed["problem"]["detail"]
+    assert job["created"] <= job["started"] <= job["finished"]
+
+
+def test_fit_is_the_librarys(client: Any, fit: str, table_bytes: bytes) -> None:
+    document = client.get(f"/v1/fits/{fit}").json()
+    read = FitResult.from_dict(document)
+    same = fitter.fit(fitter.load(table_bytes), "oren_nayar", fixed={"sigma": 0.1})
+    np.testing.assert_allclose(read.parameters["rho"].value, same.parameters["rho"].value, rtol=1e-9)
+    assert document["id"] == fit
+    assert document["posteriors"] == []
+    summary = next(item for item in client.get("/v1/fits").json()["items"] if item["id"] == fit)
+    assert summary["status"] == document["status"]
+    assert summary["model"] == "oren_nayar"
+
+
+def test_fit_is_a_model(client: Any, fit: str) -> None:
+    model = client.get(f"/v1/models/{fit}").json()
+    assert model["origin"] == "fit"
+    assert model["links"]["fit"] == f"/v1/fits/{fit}"
+    found = client.post(f"/v1/models/{fit}/evaluate", json={"wi": [0, 0, 1], "wo": [0, 0, 1]}).json()
+    assert np.isfinite(found["values"]).all()
+
+
+def test_reports(client: Any, fit: str) -> None:
+    page = client.get(f"/v1/fits/{fit}/report.html")
+    assert page.status_code == 200, page.text
+    assert page.headers["content-type"].startswith("text/html")
+    assert "oren" in page.text.lower()
+    record = client.get(f"/v1/fits/{fit}/report.json")
+    assert record.json()["kind"] == "brdf-fitter/report"
+    assert client.get(f"/v1/fits/{fit}/report.html").content == page.content
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {}, {"model": "ward", "models": ["ward"]}, {"models": []}, {"model": "glass"}, {"model": "ward:9"},
+        {"models": ["ward"] * 17}, {"model": "ward", "metric": "best"}, {"model": "ward", "seed": -1},
+        {"model": "ward", "bounds": {"alpha": [1]}}, {"model": "ward", "subset": 1}, {"model": "ward", "x": 1},
+        {"model": {"family": "ward", "ndf": "ggx"}}, {"model": None},
+    ],
+)  # fmt: skip
+def test_bad_fit_requests(client: Any, table: str, body: dict[str, Any]) -> None:
+    answer = client.post("/v1/fits", json={"table": table, **body})
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_fit_that_fails_is_a_failed_job(client: Any, table: str, wait: Callable[..., Any]) -> None:
+    answer = client.post("/v1/fits", json={"table": table, "model": "ward", "select": {"channels": ["X"]}})
+    job = wait(client, answer.headers["location"])
+    assert job["state"] == "failed"
+    assert job["problem"]["code"]
+    assert "Traceback" not in str(job)
+
+
+def test_unknown_ids(client: Any) -> None:
+    for id in ("0" * 32, "x", "..%2f..%2fetc", "%00", "%ff"):
+        for route in ("tables", "fits", "models", "jobs", "posteriors"):
+            answer = client.get(f"/v1/{route}/{id}")
+            assert answer.status_code == 404
+            assert answer.json()["status"] == 404
+    for body in ({"table": "0" * 32, "model": "ward"}, {"table": "x", "model": "ward"}):
+        assert client.post("/v1/fits", json=body).status_code == 404
+    assert client.post("/v1/posteriors", json={"fit": "0" * 32}).status_code == 404
+    assert client.post("/v1/posteriors", json={"fit": 5}).status_code == 422
+
+
+def test_results_outlive_their_table(client: Any, table_bytes: bytes, wait: Callable[..., Any]) -> None:
+    table = client.post("/v1/tables", content=table_bytes).json()["id"]
+    answer = client.post("/v1/fits", json={"table": table, "model": "oren_nayar", "fixed": {"sigma": 0.2}})
+    fit = wait(client, answer.headers["location"])["results"][0]["id"]
+    assert client.delete(f"/v1/tables/{table}").status_code == 204
+    assert client.get(f"/v1/fits/{fit}").status_code == 200
+    assert client.get(f"/v1/fits/{fit}/report.html").json()["code"] == "table-gone"
+    assert client.post("/v1/posteriors", json={"fit": fit}).json()["code"] == "table-gone"
+
+
+def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) -> None:
+    answer = client.post("/v1/posteriors", json={"fit": fit, "ess": 50, "budget_seconds": 10, "keep": 100})
+    assert answer.status_code == 202
+    job = wait(client, answer.headers["location"])
+    assert job["state"] == "done", job
+    here = job["results"][0]["links"]["self"]
+    document = client.get(here).json()
+    assert document["kind"] == "brdf-fitter/posterior"
+    assert document["links"]["fit"] == f"/v1/fits/{fit}"
+    assert client.get(f"/v1/fits/{fit}").json()["posteriors"] == [document["id"]]
+    assert client.get(f"/v1/fits/{fit}/report.html").status_code == 200

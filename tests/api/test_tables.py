@@ -1,0 +1,148 @@
+"""Tables: list, evaluate, draw, slice."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fitter
+
+WI = [0.6, 0.0, 0.8]
+NPY = "application/x-npy"
+
+
+def as_npy(array: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+@pytest.fixture(scope="module")
+def same(table_bytes: bytes) -> fitter.Table:
+    """The table as the library reads it."""
+    return fitter.load(table_bytes)
+
+
+def test_list_is_paged(client: Any, table: str) -> None:
+    whole = client.get("/v1/tables?limit=200").json()
+    assert table in [item["id"] for item in whole["items"]]
+    assert whole["total"] == len(whole["items"])
+    second = client.get("/v1/tables?limit=1&offset=1").json()
+    assert second["items"] == whole["items"][1:2]
+    for query in ("limit=0", "limit=201", "offset=-1", "offset=99999999999999999999"):
+        assert client.get(f"/v1/tables?{query}").status_code == 422
+
+
+def test_evaluate_is_the_librarys(client: Any, table: str, same: fitter.Table) -> None:
+    wo = [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [0.0, 0.9999, 0.01414178]]
+    found = client.post(f"/v1/tables/{table}/evaluate", json={"wi": WI, "wo": wo}).json()
+    unit = np.asarray(wo) / np.linalg.norm(wo, axis=1, keepdims=True)
+    values, extrapolated = same.evaluate(np.tile(WI, (3, 1)), unit)
+    np.testing.assert_allclose(found["values"], values, rtol=1e-12)
+    assert found["extrapolated"] == extrapolated.tolist() == [False, False, True]
+    assert found["channels"] == ["R", "G", "B"]
+
+
+def test_evaluate_in_binary(client: Any, table: str, same: fitter.Table) -> None:
+    pairs = np.stack([np.tile(WI, (5, 1)), np.tile([0.0, 0.0, 1.0], (5, 1))])
+    answer = client.post(
+        f"/v1/tables/{table}/evaluate", content=as_npy(pairs), headers={"content-type": NPY, "accept": NPY}
+    )
+    assert answer.headers["content-type"] == NPY
+    found = np.load(io.BytesIO(answer.content), allow_pickle=False)
+    np.testing.assert_array_equal(found["value"], same.evaluate(pairs[0], pairs[1])[0])
+    assert not found["extrapolated"].any()
+
+
+def test_samples_are_the_librarys(client: Any, table: str, same: fitter.Table) -> None:
+    wanted = {"wi": WI, "n": 50, "seed": 7}
+    found = client.post(f"/v1/tables/{table}/samples", json=wanted).json()
+    drawn = fitter.TableSampler(same).sample(np.array(WI), 50, seed=7)
+    np.testing.assert_array_equal(found["wo"], drawn.wo)
+    np.testing.assert_array_equal(found["weight"], drawn.weight)
+    assert found["acceptance"] == drawn.acceptance
+    binary = client.post(f"/v1/tables/{table}/samples", json=wanted, headers={"accept": NPY})
+    np.testing.assert_array_equal(np.load(io.BytesIO(binary.content))["wo"], drawn.wo)
+    assert binary.headers["sampling-seed"] == "7"
+    weighted = client.post(f"/v1/tables/{table}/samples", json={**wanted, "weights": [1, 0, 0]}).json()
+    assert weighted["wo"] != found["wo"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"n": 0}, {"n": 10_000_000}, {"n": 1e300}, {"seed": -1}, {"seed": 2**63}, {"wi": [0, 0, 0]},
+        {"wi": [0.6, 0, -0.8]}, {"wi": [1e300, 0, 0]}, {"wi": [1, 0]}, {"wi": "up"}, {"weights": [1]},
+        {"weights": [-1, 1, 1]}, {"weights": [0, 0, 0]}, {"wi": [0.999, 0, 0.0447]}, {"colour": 1},
+    ],
+)  # fmt: skip
+def test_bad_samples_requests(client: Any, table: str, change: dict[str, Any]) -> None:
+    answer = client.post(f"/v1/tables/{table}/samples", json={"wi": WI, "n": 5, "seed": 1, **change})
+    assert answer.status_code == 422
+    assert answer.json()["detail"]
+
+
+def test_unmeasured_incidence_needs_permission(client: Any, table: str) -> None:
+    wanted = {"wi": [0.999, 0.0, 0.044710], "n": 5, "seed": 1}
+    refused = client.post(f"/v1/tables/{table}/samples", json=wanted)
+    assert refused.json()["code"] == "incidence-not-measured"
+    allowed = client.post(f"/v1/tables/{table}/samples", json={**wanted, "allow_extrapolated": True})
+    assert allowed.status_code == 200
+
+
+def test_slice_has_its_peak_on_the_specular_side(client: Any, table: str) -> None:
+    found = client.get(f"/v1/tables/{table}/slices?theta_i_deg=40&n=180").json()
+    peak = found["theta_o_deg"][int(np.argmax(np.asarray(found["values"])[:, 0]))]
+    assert 35 <= peak <= 45
+    assert found["extrapolated"][0]
+    assert not found["extrapolated"][100]
+    for query in ("", "theta_i_deg=95", "theta_i_deg=nan", "theta_i_deg=10&phi_i_deg=inf", "theta_i_deg=1&n=1"):
+        assert client.get(f"/v1/tables/{table}/slices?{query}").status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"", 400), (b"{", 400), (b'{"wi": [NaN, 0, 1], "wo": [0, 0, 1]}', 400), (b"[]", 422), (b"{}", 422),
+        (b'{"wi": [0, 0, 1]}', 422), (b'{"wi": [0, 0, 1], "wo": [0, 0, 1], "x": 1}', 422),
+        (b'{"wi": [0, 0, 1], "wo": []}', 422), (b'{"wi": [[0, 0, 1], [0, 1]], "wo": [0, 0, 1]}', 422),
+        (b'{"wi": ["0", "0", "1"], "wo": [0, 0, 1]}', 422), (b'{"wi": [null, 0, 1], "wo": [0, 0, 1]}', 422),
+        (b'{"wi": [0, 0, 3], "wo": [0, 0, 1]}', 422), (b'{"wi": [0, 0, -1], "wo": [0, 0, 1]}', 422),
+        (b'{"wi": [1e400, 0, 1], "wo": [0, 0, 1]}', 400), (b'{"wi": [0, 0, 1e200], "wo": [0, 0, 1]}', 422),
+        (b'{"wi": [[0,0,1],[0,0,1]], "wo": [[0,0,1],[0,0,1],[0,0,1]]}', 422), (b"[" * 100_000, 400),
+        (b'{"wi": {"a": 1}, "wo": [0, 0, 1]}', 422), (b'{"wi": [true, false, true], "wo": [0, 0, 1]}', 422),
+        (b'{"wi": [123456789012345678901234567890, 0, 1], "wo": [0, 0, 1]}', 422),
+        (b'{"\\ud800": 1}', 400), (b"\xff\xfe", 400),
+    ],
+)  # fmt: skip
+def test_bad_bodies(client: Any, table: str, body: bytes, status: int) -> None:
+    answer = client.post(f"/v1/tables/{table}/evaluate", content=body)
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"", b"\x93NUMPY", as_npy(np.zeros(3)), as_npy(np.full((2, 1, 3), np.nan)), as_npy(np.eye(3)),
+        as_npy(np.zeros((2, 4, 3), complex)), as_npy(np.array(["a"])), as_npy(np.ones((2, 4, 3)))[:-8],
+        as_npy(np.zeros((2, 10**3, 3)))[:100], as_npy(np.zeros((2, 0, 3))),
+        as_npy(np.ones((2, 4, 3))).replace(b"(2, 4, 3)", b"(2, 4, -3)"[:9]),
+        b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16, b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16,
+    ],
+)  # fmt: skip
+def test_bad_arrays(client: Any, table: str, body: bytes) -> None:
+    answer = client.post(f"/v1/tables/{table}/evaluate", content=body, headers={"content-type": NPY})
+    assert answer.status_code in (400, 422), answer.text
+
+
+def test_pickles_are_not_opened(client: Any, table: str) -> None:
+    body = io.BytesIO()
+    np.save(body, np.array([{"a": 1}], object), allow_pickle=True)
+    answer = client.post(
+        f"/v1/tables/{table}/evaluate", content=body.getvalue(), headers={"content-type": NPY}
+    )
+    assert answer.json()["code"] == "bad-npy"

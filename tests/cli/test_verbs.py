@@ -1,0 +1,237 @@
+"""Every verb at its work: what it prints, what it writes, and that the same seed gives the same."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import signal
+import socket
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fitter
+from fitter import datasets
+from tests.cli.conftest import Run, process
+
+
+def test_info(run: Run, plaster: Path) -> None:
+    document = run("info", plaster, "--json").document
+    assert document["kind"] == "brdf-fitter/table"
+    assert document["hash"] == fitter.load(plaster).hash
+    text = run("info", plaster).out
+    assert "diffuse_plaster" in text
+    assert "specular side" in text
+
+
+def test_info_of_a_folder(run: Run) -> None:
+    document = run(
+        "info", datasets.sample("diffuse_plaster").parent, "--item", "glossy_paint", "--json"
+    ).document
+    assert document["name"] == "glossy_paint"
+
+
+def test_info_takes_reading_options(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "unnamed.csv"
+    table.write_text("a,b,c,d,e\n10,0,20,180,0.1\n10,0,30,180,0.2\n20,0,30,180,0.2\n")
+    assert run("info", table).status == 2
+    meanings = {"a": "theta_i_deg", "b": "phi_i_deg", "c": "theta_o_deg", "d": "phi_o_deg", "e": "value"}
+    columns = [word for pair in meanings.items() for word in ("--column", "=".join(pair))]
+    document = run("info", table, *columns, "--quantity", "reflectance_factor", "--json").document
+    assert document["samples"] == 3
+    assert document["channels"][0]["max_per_sr"] == pytest.approx(0.2 / np.pi)
+
+
+def test_fit_writes_results_that_read_back(run: Run, fits: Path, plaster: Path) -> None:
+    assert sorted(path.name for path in fits.iterdir()) == ["oren_nayar.json", "ward.json"]
+    result = fitter.load_fit(fits / "ward.json")
+    assert result.status in ("converged", "not_converged", "not_identified")
+    assert result.table["source"] == {"path": str(plaster.resolve()), "options": {}}
+    assert result.table["hash"] == fitter.load(plaster).hash
+
+
+def test_fit_of_one_model_prints_the_result_itself(
+    run: Run, plaster: Path, fits: Path, tmp_path: Path
+) -> None:
+    ran = run("fit", plaster, "--model", "oren_nayar", "--json")
+    assert ran.status == 0
+    assert ran.document["kind"] == "brdf-fitter/fit"
+    printed = tmp_path / "printed.json"
+    printed.write_text(ran.out)
+    again, first = fitter.load_fit(printed), fitter.load_fit(fits / "oren_nayar.json")
+    for name, estimate in first.parameters.items():
+        # The same seed, table and settings: the same fit to the last bit.
+        np.testing.assert_array_equal(again.parameters[name].value, estimate.value)
+
+
+def test_fit_of_several_models_prints_them_all(run: Run, plaster: Path) -> None:
+    words = ["fit", plaster, "--model", "oren_nayar", "--model", "ward", "--fixed", "alpha=0.3"]
+    document = run(*words, "--json").document
+    assert document["kind"] == "brdf-fitter/fits"
+    assert [fit["model"]["name"] for fit in document["fits"]] == ["oren_nayar", "ward"]
+    assert document["failures"] == []
+    # Oren-Nayar has no alpha: it is fitted freely.
+    assert [fit["spec"]["fixed"] for fit in document["fits"]] == [{}, {"alpha": 0.3}]
+    text = run(*words).out
+    assert "kd[R]" in text
+    assert "rho[B]" in text
+
+
+def test_fit_that_fails_says_why(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "tiny.csv"
+    table.write_text("# quantity: brdf\ntheta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,brdf\n10,0,20,180,0.1\n")
+    ran = run("fit", table, "--model", "ward", "--json")
+    assert (ran.status, ran.document["error"]["code"]) == (1, "too-few-samples")
+    ran = run("fit", table, "--out", tmp_path / "out", "--json")
+    assert ran.status == 1
+    assert {failure["model"] for failure in ran.document["failures"]} == set(fitter.models.FAMILIES)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_fit_of_a_compressed_table(run: Run, plaster: Path, tmp_path: Path) -> None:
+    words = ["fit", plaster, "--model", "oren_nayar", "--compress", "0.01", "--out", tmp_path, "--json"]
+    document = run(*words).document
+    assert document["table"]["compressed"]["tolerance"] == 0.01
+    assert document["table"]["source"]["compressed_to"] == 0.01
+    # Its table is found again, compressed the same way.
+    from fitter.cli.reading import table_of
+    from fitter.formats import ReadOptions
+
+    opened = table_of(document["table"], None, ReadOptions(), result="oren_nayar.json")
+    assert opened.table.hash == document["table"]["hash"]
+
+
+def test_compress_and_decompress(run: Run, plaster: Path, tmp_path: Path) -> None:
+    small, text = tmp_path / "small.brdf", tmp_path / "again.csv"
+    document = run("compress", plaster, "--tolerance", "0", "--out", small, "--json").document
+    assert document["bytes"] == small.stat().st_size
+    assert run("info", small, "--json").document["hash"] == fitter.load(plaster).hash
+    assert run("info", small, "--quantity", "brdf").status == 2
+    document = run("decompress", small, "--out", text, "--json").document
+    assert document["hash"] == fitter.load(plaster).hash == fitter.load(text).hash
+    assert run("decompress", plaster, "--out", tmp_path / "no.csv").status == 2
+    assert run("decompress", tmp_path / "missing", "--out", tmp_path / "no.csv").status == 2
+    assert not (tmp_path / "no.csv").exists()
+    assert "of the bound" in run("compress", plaster, "--tolerance", "0.05", "--out", small).out
+
+
+@pytest.mark.parametrize("source", ["table", "model"])
+def test_sample(run: Run, plaster: Path, fits: Path, tmp_path: Path, source: str) -> None:
+    origin = [plaster] if source == "table" else ["--model", fits / "ward.json"]
+    words = ["sample", *origin, "--theta-i", "30", "-n", "200"]
+    first = run(*words, "--seed", "1", "--json")
+    assert first.status == 0, first.err
+    assert first.out == run(*words, "--seed", "1", "--json").out
+    assert first.out != run(*words, "--seed", "2", "--json").out
+    document = first.document
+    wo = np.array(document["samples"]["wo"])
+    np.testing.assert_allclose(np.linalg.norm(wo, axis=1), 1, atol=1e-12)
+    assert all(0 < albedo < 1 for albedo in document["albedo_estimate"])
+
+    assert run(*words, "--seed", "1", "--out", tmp_path / "draws.npz").status == 0
+    with np.load(tmp_path / "draws.npz") as draws:
+        np.testing.assert_array_equal(draws["wo"], wo)
+        assert draws["channels"].tolist() == ["R", "G", "B"]
+    assert "samples" not in run(*words, "--seed", "1", "--out", tmp_path / "draws.csv", "--json").document
+    with (tmp_path / "draws.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    np.testing.assert_array_equal([[float(row[f"wo_{x}"]) for x in "xyz"] for row in rows], wo)
+
+
+def test_samples_too_many_to_print(run: Run, plaster: Path) -> None:
+    ran = run("sample", plaster, "--theta-i", "30", "-n", 10**6, "--seed", "1", "--json")
+    assert (ran.status, ran.document["error"]["parameter"]) == (2, "count")
+
+
+def test_models(run: Run) -> None:
+    document = run("models", "--json").document
+    assert [model["name"] for model in document["models"]] == list(fitter.models.FAMILIES)
+    for model in document["models"]:
+        expected = [parameter.to_dict() for parameter in fitter.models.parameter_table(model["name"])]
+        assert model["parameters"] == expected
+    assert run("models", "lafortune:2", "--json").document["models"][0]["name"] == "lafortune:2"
+    assert "log-uniform" in run("models", "ward").out
+    assert run("models", "phong").status == 2
+
+
+def test_datasets(run: Run, tmp_path: Path) -> None:
+    listed = run("datasets", "list", "--json").document["datasets"]
+    assert {one["name"] for one in listed} == set(datasets.samples())
+    assert run("datasets").out.count("\n") == len(listed)
+    copied = run("datasets", "copy", "diffuse_plaster", "--out", tmp_path / "new", "--json").document["paths"]
+    assert [hashlib.sha256(Path(path).read_bytes()).digest() for path in copied] == [
+        hashlib.sha256(datasets.sample("diffuse_plaster").read_bytes()).digest()
+    ]
+
+
+def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
+    out = tmp_path / "posterior.json"
+    words = ["posterior", fits / "oren_nayar.json", "--budget-seconds", "20", "--ess", "100", "--rhat", "1.1"]
+    ran = run(*words, "--seed", "3", "--out", out, "--json")
+    assert ran.status == 0, ran.err
+    document = ran.document
+    assert document["kind"] == "brdf-fitter/posterior"
+    assert document == json.loads(out.read_bytes())
+    assert (document["spec"]["seed"], document["spec"]["ess"]) == (3, 100)
+
+    folder = tmp_path / "report"
+    ran = run(
+        "report", fits / "ward.json", fits / "oren_nayar.json", "--posterior", out, "--out", folder, "--json"
+    )
+    assert ran.status == 0, ran.err
+    assert ran.document["model"] == "oren_nayar"  # the posterior's, not the first
+    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "report.json"]
+    assert "<html" in (folder / "report.html").read_text()
+    # The posterior of one model with the fit of another alone: refused.
+    ran = run("report", fits / "ward.json", "--posterior", out, "--out", tmp_path / "no", "--json")
+    assert (ran.status, ran.document["error"]["code"]) == (2, "which-fit")
+    assert list((tmp_path / "no").iterdir()) == []
+
+
+def test_report_of_fits_of_different_tables(run: Run, fits: Path, tmp_path: Path) -> None:
+    document: dict[str, Any] = json.loads((fits / "ward.json").read_bytes())
+    document["table"]["hash"] = "0" * 64
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(document))
+    ran = run("report", fits / "ward.json", other, "--out", tmp_path / "out", "--json")
+    assert (ran.status, ran.document["error"]["code"]) == (2, "table-differs")
+
+
+def test_one_fit_of_several(run: Run, fits: Path, tmp_path: Path) -> None:
+    both = [json.loads((fits / name).read_bytes()) for name in ("ward.json", "oren_nayar.json")]
+    several = tmp_path / "several.json"
+    several.write_text(json.dumps({"kind": "brdf-fitter/fits", "fits": both, "failures": []}))
+    words = ["sample", "--model", several, "--theta-i", "30", "-n", "5", "--seed", "1", "--json"]
+    ran = run(*words)
+    assert (ran.status, ran.document["error"]["code"]) == (2, "which-fit")
+    from fitter.cli.results import load_result
+
+    assert load_result(several, "oren_nayar").model.spec.name == "oren_nayar"
+
+
+def test_serve_until_interrupted(tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    running = process("serve", "--port", port, "--folder", tmp_path / "data", "--json")
+    try:
+        for _ in range(300):
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=1) as answer:
+                    assert answer.status == 200
+                break
+            except urllib.error.URLError:
+                assert running.poll() is None
+                time.sleep(0.1)
+    finally:
+        running.send_signal(signal.SIGINT)
+        out, err = running.communicate(timeout=30)
+    assert running.returncode == 0, err
+    assert json.loads(out)["url"] == f"http://127.0.0.1:{port}"
+    assert "Traceback" not in err
