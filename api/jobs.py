@@ -42,6 +42,7 @@ class Runner:
         self._worker = worker
         self._metrics = metrics
         self._news = threading.Condition()
+        self._told = 0
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=self._loop, name=f"job-{k}", daemon=True) for k in range(threads)
@@ -54,6 +55,7 @@ class Runner:
     def wake(self) -> None:
         """A job was queued."""
         with self._news:
+            self._told += 1
             self._news.notify()
 
     def stop(self, grace_seconds: float) -> bool:
@@ -71,6 +73,7 @@ class Runner:
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
+            told = self._told
             try:
                 job = self._store.claim()
                 if job is not None:
@@ -80,7 +83,9 @@ class Runner:
                 # The database may be away for a while; the thread has to outlive that.
                 _log.exception("the job queue can't be served; trying again")
             with self._news:
-                self._news.wait(IDLE_LOOK)
+                # News that came between the look at the queue and here must not be slept through.
+                if told == self._told and not self._stopping.is_set():
+                    self._news.wait(IDLE_LOOK)
 
     def _run(self, job: JobRow) -> None:
         begun = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,12 +11,12 @@ import orjson
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.datastructures import UploadFile
 
 import fitter
 from api import documents, schemas
 from api.blobs import Incoming
 from api.exchange import Body, checked_draws, read_pairs, respond, respond_samples
+from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
 from api.routes import Limit, Offset, problems
@@ -69,42 +70,31 @@ async def upload(
     given = {**reading.model_dump(), "columns": _columns(reading.columns)}
     options = read_options(given)
     with here.blobs.incoming(here.settings.max_upload_bytes) as incoming:
-        if request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
-            filename = await _receive_form(request, incoming)
-            if filename and not reading.name:
-                options = read_options({**given, "name": filename})
+        content_type = request.headers.get("content-type", "")
+        if content_type.lower().startswith("multipart/form-data"):
+            form = FileForm(content_type, incoming.write)
+            await _receive(request, form.write)
+            form.finish()
+            if form.filename and not reading.name:
+                options = read_options({**given, "name": form.filename})
         else:
-            await _receive(request, incoming)
+            await _receive(request, incoming.write)
         row = await to_thread.run_sync(_keep, here, incoming, options)
     here.metrics.upload(row.size)
     response.headers["Location"] = f"/v1/tables/{row.id}"
     return documents.table(row)
 
 
-async def _receive(request: Request, incoming: Incoming) -> None:
-    """The body itself, to the disk in pieces."""
+async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
+    """The body, to ``sink`` in pieces, in a thread: it writes to the disk."""
     waiting = bytearray()
     async for chunk in request.stream():
         waiting += chunk
         if len(waiting) >= CHUNK:
-            await to_thread.run_sync(incoming.write, bytes(waiting))
+            await to_thread.run_sync(sink, bytes(waiting))
             waiting.clear()
-    await to_thread.run_sync(incoming.write, bytes(waiting))
-
-
-async def _receive_form(request: Request, incoming: Incoming) -> str | None:
-    """The form's one file (the framework spools it to the disk too); the name it was sent under."""
-    async with request.form(max_files=1, max_fields=1) as form:
-        file = form.get("file")
-        if len(form) != 1 or not isinstance(file, UploadFile):
-            raise Problem.invalid(
-                "bad-form", "the form does not hold exactly one field, `file`", parameter="file",
-                remedy="send the table as `file`, and reading options as query parameters",
-            )  # fmt: skip
-        while chunk := await file.read(CHUNK):
-            await to_thread.run_sync(incoming.write, chunk)
-        label = "".join(c for c in (file.filename or "") if c.isprintable()).replace("\\", "/").split("/")[-1]
-        return label[:200] or None
+    if waiting:
+        await to_thread.run_sync(sink, bytes(waiting))
 
 
 def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:

@@ -74,24 +74,18 @@ class Opened:
 
 
 def open_table(path: str | Path, options: ReadOptions) -> Opened:
-    """The one table at ``path``: any format, or a container that ``compress`` wrote."""
+    """The one table at ``path``, of any format. Raises TableError or SpecError."""
     from fitter.formats import load
 
     source = {"path": str(Path(path).resolve()), "options": options.to_dict()}
-    if is_container(path):
-        if options.to_dict():
-            raise SpecError(
-                "a compressed table takes no reading options", code="bad-option", file=str(path),
-                remedy="leave them out: they were given when it was compressed",
-            )  # fmt: skip
-        small = open_container(path)
-        return Opened(small.decompress(), source, small)
-    return Opened(load(path, **options.to_dict()), source)
+    table = load(path, **options.to_dict())
+    # A compressed table is handed on as such, so that a fit of it can say so.
+    return Opened(table, source, open_container(path) if is_container(path) else None)
 
 
 def is_container(path: str | Path) -> bool:
     """Whether ``path`` holds a compressed table, by its first bytes."""
-    from fitter.compression.container import MAGIC
+    from fitter.formats.compressed import MAGIC
 
     try:
         with Path(path).open("rb") as file:

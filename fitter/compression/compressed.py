@@ -14,14 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter.compression import container
 from fitter.compression.container import Block
+from fitter.compression.prediction import decode, encode
 from fitter.compression.quantise import (
     SMALLEST_TOLERANCE,
     dequantise,
-    differences,
     error_in_bounds,
-    narrowest,
     quantise,
-    sums,
 )
 from fitter.errors import SpecError, TableError
 from fitter.table import Channel, Grid, Metadata, Table
@@ -100,8 +98,9 @@ class CompressedTable:
         for k in range(value.shape[1]):
             value[:, k] = self._channel(k)
         directions = {name: self._array(name) for name in ("wi", "wo") if name in self.blocks}
-        document = dict(self.header["metadata"])
-        metadata = Metadata(**{**document, "notes": tuple(document["notes"])})
+        document: dict[str, Any] = dict(self.header["metadata"])
+        document["notes"] = tuple(document["notes"])
+        metadata = Metadata(**document)
         table = Table(
             value=value, grid=self._grid(), **directions,
             sigma=self._array("sigma") if "sigma" in self.blocks else None,
@@ -135,10 +134,7 @@ class CompressedTable:
     def _channel(self, k: int) -> FloatArray:
         if f"raw {k}" in self.blocks:
             return self._array(f"raw {k}")
-        bins = self._array(f"bins {k}").astype(np.int64)
-        shape, axis = tuple(self.header["shape"]), self.header["prediction"][k]
-        if axis is not None:
-            bins = sums(bins, shape, axis)
+        bins = decode(k, self._array, tuple(self.header["shape"]), self.header["prediction"][k])
         value = dequantise(bins, self.header["floor"][k], self.tolerance)
         value[self._array(f"exception index {k}")] = self._array(f"exception value {k}")
         return value
@@ -170,13 +166,13 @@ def compress(table: Table, tolerance: float, *, floor: ArrayLike | None = None) 
     floors = _default_floor(table) if floor is None else _given_floor(floor, channels)
     shape = (len(table),) if table.grid is None else table.grid.shape
     blocks: list[Block] = []
-    prediction: list[int | None] = []
+    prediction: list[dict[str, Any]] = []
     worst = 0.0
     for k in range(channels):
         value = np.ascontiguousarray(table.value[:, k])
-        parts, axis, error = _pack_channel(k, value, float(floors[k]), float(tolerance), shape)
+        parts, how, error = _pack_channel(k, value, float(floors[k]), float(tolerance), shape)
         blocks += parts
-        prediction.append(axis)
+        prediction.append(how)
         worst = max(worst, error)
     blocks += _pack_geometry(table)
     header: dict[str, Any] = {
@@ -203,32 +199,26 @@ def compress(table: Table, tolerance: float, *, floor: ArrayLike | None = None) 
 
 def _pack_channel(
     k: int, value: FloatArray, floor: float, tolerance: float, shape: tuple[int, ...]
-) -> tuple[list[Block], int | None, float]:
-    """Blocks of one channel, the axis it is predicted along, its worst error in units of the bound."""
+) -> tuple[list[Block], dict[str, Any], float]:
+    """Blocks of one channel, how it is predicted, its worst error in units of the bound."""
     raw = container.pack(f"raw {k}", value)
     if tolerance < SMALLEST_TOLERANCE:
-        return [raw], None, 0.0
+        return [raw], {}, 0.0
     bins = quantise(value, floor, tolerance)
     decoded = dequantise(bins, floor, tolerance)
     error = error_in_bounds(value, decoded, floor, tolerance)
     exact = np.flatnonzero(~(error <= 1.0) | ~np.isfinite(value))
     bins[exact] = 0
     error[exact] = 0.0
-    # How smooth the table is decides which neighbour predicts best, or none: try them, keep the smallest.
-    options: list[tuple[Block, int | None]] = [(container.pack(f"bins {k}", narrowest(bins)), None)]
-    for axis in range(len(shape)):
-        if shape[axis] > 1:
-            residual = narrowest(differences(bins, shape, axis))
-            options.append((container.pack(f"bins {k}", residual), axis))
-    best, axis = min(options, key=lambda option: len(option[0].data))
+    predicted, how = encode(k, bins, shape)
     parts = [
-        best,
+        *predicted,
         container.pack(f"exception index {k}", exact.astype(np.int64)),
         container.pack(f"exception value {k}", value[exact]),
     ]
     if sum(len(part.data) for part in parts) >= len(raw.data):
-        return [raw], None, 0.0
-    return parts, axis, float(error.max())
+        return [raw], {}, 0.0
+    return parts, how, float(error.max())
 
 
 def _pack_geometry(table: Table) -> list[Block]:

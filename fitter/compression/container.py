@@ -22,9 +22,9 @@ MAGIC = b"\x89BRDFfit"
 VERSION = 1
 # magic, version, header length, crc32 of the header
 _PREFIX = struct.Struct("<8sHII")
-_LEVEL = 9
+LEVEL = 9
 # No table is larger than this once unpacked (a forged length must not fill the memory).
-_LARGEST = 1 << 36
+_LARGEST = 1 << 32
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Block:
         return zlib.crc32(self.data)
 
 
-def pack(name: str, array: NDArray[Any], level: int = _LEVEL) -> Block:
+def pack(name: str, array: NDArray[Any], level: int = LEVEL) -> Block:
     """A block of ``array``. Shuffling puts equal-significance bytes together, where they repeat."""
     array = np.ascontiguousarray(array)
     little = array.astype(array.dtype.newbyteorder("<"), copy=False)
@@ -54,7 +54,8 @@ def unpack(block: Block, file: str | None = None) -> NDArray[Any]:
     """The array of a block. Raises TableError that names the block when its content makes no sense."""
     dtype = np.dtype(block.dtype)
     size = int(np.prod(block.shape, dtype=np.int64)) * dtype.itemsize
-    if not 0 <= size <= _LARGEST:
+    stated = zstandard.frame_content_size(block.data) if len(block.data) >= 18 else size
+    if not 0 <= size <= _LARGEST or stated != size:
         raise _damaged(f"block {block.name!r} claims {size} bytes", file, block.name)
     try:
         raw = zstandard.ZstdDecompressor().decompress(block.data, max_output_size=size) if size else b""

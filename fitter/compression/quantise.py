@@ -64,6 +64,29 @@ def narrowest(numbers: IntArray) -> NDArray[np.signedinteger]:
     return numbers
 
 
+#: Values per block of the local mean.
+MEAN_LENGTH = 16
+
+
+def local_means(bins: IntArray, shape: tuple[int, ...], axis: int) -> IntArray:
+    """Rounded means of bins (N,) over runs of ``MEAN_LENGTH`` along ``axis``, flat.
+
+    A mean predicts noisy values better than a neighbour does: it adds 1/16 of their variance, not all of it.
+    """
+    cube = bins.reshape(shape)
+    starts = np.arange(0, shape[axis], MEAN_LENGTH)
+    lengths = np.diff(np.append(starts, shape[axis]))
+    counts = lengths.reshape([-1 if k == axis else 1 for k in range(len(shape))])
+    return np.rint(np.add.reduceat(cube, starts, axis=axis) / counts).astype(np.int64).reshape(-1)
+
+
+def spread(means: IntArray, shape: tuple[int, ...], axis: int) -> IntArray:
+    """(N,) the local means, each repeated over its run."""
+    runs = [(-(-n // MEAN_LENGTH) if k == axis else n) for k, n in enumerate(shape)]
+    repeated = np.repeat(means.reshape(runs), MEAN_LENGTH, axis=axis)
+    return np.take(repeated, np.arange(shape[axis]), axis=axis).reshape(-1)
+
+
 def differences(bins: IntArray, shape: tuple[int, ...], axis: int) -> IntArray:
     """Bins (N,) minus their predecessor along ``axis`` of the table's ``shape``; the first stays."""
     return np.diff(bins.reshape(shape), axis=axis, prepend=0).reshape(-1)

@@ -25,9 +25,10 @@ def diagnose(chains: FloatArray) -> list[Diagnostic]:
             found.append(Diagnostic(float("inf"), 0.0, 0.0, float("inf")))
             continue
         bulk = array_stats.ess(x, chain_axis=0, draw_axis=1, method="bulk")
-        tail = array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail")
+        tail = array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
         rhat = array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")
         # The average of the walkers' autocorrelation functions, not that of their mean (emcee issue 209).
-        tau = emcee.autocorr.integrated_time(x.T[:, :, None], tol=0, quiet=True)[0]
+        moved = x[np.ptp(x, axis=1) > 0]
+        tau = emcee.autocorr.integrated_time(moved.T[:, :, None], tol=0, quiet=True)[0]
         found.append(Diagnostic(float(rhat), float(bulk), float(tail), float(tau)))
     return found

@@ -28,8 +28,8 @@ from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 FIRST_STEPS = 100
-#: Range of the inferred relative noise, and of the floor in units of the median value.
-NOISE_RANGE = (1e-6, 30.0)
+#: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
+LARGEST_NOISE = 3.0
 
 
 @dataclass
@@ -52,9 +52,9 @@ class _Run:
             self.starts = list(pool.map(one, range(len(self.samplers))))
 
     def chains(self) -> FloatArray:
-        """(walkers of all ensembles, steps, P), the first half of the steps discarded."""
+        """(walkers of all ensembles, steps, P) in the model's coordinates, the first half discarded."""
         kept = [s.get_chain()[s.iteration // 2 :].transpose(1, 0, 2) for s in self.samplers]
-        return np.concatenate(kept)
+        return self.density.folded(np.concatenate(kept))
 
 
 def sample(
@@ -165,22 +165,24 @@ def _start(
         low.append(places.lower[k])
         high.append(places.upper[k])
     if sigma is None:
-        scale = data.floor[list(group)] / 1e-3
-        for what, unit in (("relative_noise", np.ones(c)), ("noise_floor", scale)):
-            x += list(np.log(0.05 * unit))
+        misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
+        for what, guess in (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)])):
+            x += list(guess)
             labels += [f"{what}[{names[k]}]" for k in group]
-            low += list(np.log(NOISE_RANGE[0] * unit))
-            high += list(np.log(NOISE_RANGE[1] * unit))
+            low += [0.0] * c
+            high += [np.inf if what == "noise_floor" else LARGEST_NOISE] * c
     if value.size < len(x):
         raise FitError(
             f"{value.size} usable values can't determine {len(x)} parameters", code="too-few-samples",
             remedy="measure more geometries, fix parameters, or use a simpler model",
         )  # fmt: skip
-    logs = np.array([*(False for _ in range(len(linear) * c)), *places.logs, *(True for _ in range(len(x)))])[
-        : len(x)
-    ]
-    density = Density(places, data.pair[:, index], value, sigma, np.array(low), np.array(high))
-    mode, covariance = density.maximum(np.array(x))
+    logs = np.zeros(len(x), bool)
+    logs[len(linear) * c : len(linear) * c + len(places.free)] = places.logs
+    density = Density(
+        places, np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
+        None if sigma is None else np.ascontiguousarray(sigma.T), np.array(low), np.array(high),
+    )  # fmt: skip
+    mode, covariance = density.mode(np.array(x))
     if not np.isfinite(density(mode[None])).all():
         raise FitError(
             "the likelihood is not finite at its mode", code="likelihood-not-finite",
@@ -196,29 +198,9 @@ def _start(
         )
         sampler.random_state = np.random.RandomState(int(rng.integers(2**32))).get_state()  # noqa: NPY002
         samplers.append(sampler)
-        starts.append(_scatter(density, mode, covariance, walkers, rng))
+        # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
+        starts.append(mode + 2.0 * rng.standard_normal((walkers, len(x))) @ np.linalg.cholesky(covariance).T)
     return _Run(density, labels, logs, samplers, starts)
-
-
-def _scatter(
-    density: Density, mode: FloatArray, covariance: FloatArray, walkers: int, rng: np.random.Generator
-) -> FloatArray:
-    """Walkers at about twice the Laplace spread; coordinates beyond a bound are reflected at it."""
-    spread = 2.0 * np.linalg.cholesky(covariance)
-    x = mode + rng.standard_normal((walkers, len(mode))) @ spread.T
-    x = np.where(x < density.lower, 2 * density.lower - x, x)
-    x = np.where(x > density.upper, 2 * density.upper - x, x)
-    x = np.clip(x, density.lower, density.upper)
-    # Where nothing is finite that far out (a sharp corner), start closer in.
-    for shrink in (0.5, 0.25, 0.1, 0.01):
-        bad = ~np.isfinite(density(x))
-        if not bad.any():
-            break
-        x[bad] = np.clip(
-            mode + shrink * rng.standard_normal((int(bad.sum()), len(mode))) @ spread.T,
-            density.lower, density.upper,
-        )  # fmt: skip
-    return x
 
 
 def _posterior(

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, legend, panel, picture, plain
+from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, legend, logarithmic, panel, picture, plain
 
 #: Fewer draws than this make no density.
 FEWEST_DRAWS = 50
@@ -28,18 +28,18 @@ def corner_picture(record: Record) -> Picture | None:
     FigureCanvasAgg(figure)
     corner.corner(
         draws, fig=figure, labels=[plain(label, 18) for label in labels], color=BLUE, truth_color=VERMILLION,
-        truths=section["estimates"], bins=24, max_n_ticks=3, labelpad=0.12, use_math_text=True,
+        truths=section["estimates"], bins=24, smooth=1.0, max_n_ticks=3, labelpad=0.12, use_math_text=True,
         label_kwargs={"fontsize": 10, "color": INK}, quantiles=[0.025, 0.5, 0.975],
-        levels=(0.393, 0.865), data_kwargs={"alpha": 0.2, "rasterized": True},
-        pcolor_kwargs={"rasterized": True},
+        levels=(0.393, 0.865), data_kwargs={"alpha": 0.2}, pcolor_kwargs={"rasterized": True}, quiet=True,
     )  # fmt: skip
-    figure.subplots_adjust(left=0.15, bottom=0.15, right=0.97, top=0.97)
+    figure.subplots_adjust(left=0.12, bottom=0.12, right=0.97, top=0.97)
     for axes in figure.axes:
         axes.tick_params(labelsize=8, colors=INK)
     return picture(
         figure,
         "Corner plot of the posterior: the density of each parameter with its median and 95 % credible "
         "interval, and of each pair; lines mark the least-squares estimates.",
+        "png",  # a few hundred thousand contour vertices make a slow SVG
     )
 
 
@@ -61,7 +61,7 @@ def convergence_pictures(record: Record) -> list[Picture]:
         figure, axes = panel(title, "steps per walker", y)
         axes.plot(points[:, 0], np.maximum(values, 1e-6), "-o", color=BLUE, markersize=4, linewidth=1.6)
         axes.axhline(target, color=VERMILLION, linestyle="--", linewidth=1.4, label="target")
-        axes.set_yscale("log")
+        logarithmic(axes)
         legend(axes, loc="best")
         alt = f"{title} against steps; converged when {better} the dashed target line."
         found.append(picture(figure, alt))

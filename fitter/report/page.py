@@ -41,7 +41,7 @@ def _environment() -> Environment:
         loader=PackageLoader("fitter.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    for function in (number, share, words, facts, pretty):
+    for function in (number, whole, share, words, facts, pretty):
         environment.filters[function.__name__] = function
     return environment
 
@@ -51,6 +51,11 @@ def number(x: float | None, digits: int = 3) -> str:
     if x is None:
         return NOT_STATED
     return f"{x:,}" if isinstance(x, int) else significant(x, digits)  # counts; years have four digits
+
+
+def whole(x: float | None) -> str:
+    """A count that was estimated, rounded down."""
+    return NOT_STATED if x is None else f"{int(x):,}"
 
 
 def share(x: float | None) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.report.clean import drawn
-from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, thin
+from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, evaluated, thin
 
 FloatArray = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
     index = fitted.subsample(MOST_SAMPLES, seed)
     wi, wo = fitted.table.directions(index)
     measured = fitted.values(index)
-    difference = measured - np.asarray(fitted.fit.model.evaluate(wi, wo))
+    difference = measured - evaluated(fitted.fit.model, wi, wo)
     magnitude = np.abs(fitted.values(fitted.index))
     floor = 0.01 * np.array([np.median(m) or m.mean() for m in magnitude.T])
     # An all-zero channel has no scale: nothing relative can be said of it.

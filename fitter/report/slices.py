@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted, IndexArray, restricted, spread, thin
+from fitter.report.fitted import Fitted, IndexArray, evaluated, restricted, spread, thin
 from fitter.table import Table
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     phi = 0.0 if azimuth is None else np.deg2rad(azimuth)
     pairs = [_pairs(theta, curve, phi) for theta, curve in zip(incidences, curves, strict=True)]
     at_i, at_o = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
-    values = np.asarray(fitted.fit.model.evaluate(at_i, at_o))[:, fitted.shown]
+    values = evaluated(fitted.fit.model, at_i, at_o)[:, fitted.shown]
     band = None if posterior is None else restricted(posterior, shown).predict(at_i, at_o, LEVEL)
     ends = np.cumsum([len(c) for c in curves])[:-1]
     found: list[dict[str, Any]] = []

@@ -43,7 +43,7 @@ class GridInterpolant:
         self.axes: tuple[Axis, ...] = axes_of(grid)
         self._weighted: WeightedTable | None = None
 
-    @cached_property
+    @property
     def in_plane(self) -> bool:
         axes = self.grid.axes
         if self.grid.system == "spherical":
@@ -77,6 +77,7 @@ class GridInterpolant:
         found = ndimage.distance_transform_edt(
             ~self.mask.reshape(self.grid.shape), return_distances=False, return_indices=True
         )
+        assert found is not None
         return np.ravel_multi_index(tuple(found), self.grid.shape).reshape(-1).astype(np.int32)
 
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:

@@ -28,7 +28,8 @@ class Slice(Protocol):
     extrapolated : True when the incidence lies outside the measured ones.
     """
 
-    extrapolated: bool
+    @property
+    def extrapolated(self) -> bool: ...
 
     def envelope(self, weights: FloatArray, acceptance: float, cells: int) -> Envelope:
         """What the rejection sampler draws candidates from; ``weights`` (C,) sum to 1."""
@@ -41,7 +42,8 @@ class Interpolant(Protocol):
     in_plane : True when the table covers the plane of incidence only, which has no solid angle.
     """
 
-    in_plane: bool
+    @property
+    def in_plane(self) -> bool: ...
 
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """``(values, extrapolated)``, (M, C) in 1/sr and (M,), of direction pairs (M, 3) or (3,)."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
+from scipy.spatial import ConvexHull, Delaunay, KDTree, QhullError
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -76,8 +76,8 @@ class Scan:
         return self.points[ConvexHull(self.points).vertices]
 
     @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.points)
+    def _tree(self) -> KDTree:
+        return KDTree(self.points)
 
     @cached_property
     def _line(self) -> tuple[FloatArray, FloatArray]:

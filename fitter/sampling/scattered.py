@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import TableError
-from fitter.sampling.axes import SAME_ANGLE
 from fitter.sampling.envelope import Envelope
 from fitter.sampling.interpolant import pairs
 from fitter.sampling.scans import PLANE, Scan, group, triangulate
@@ -31,7 +30,7 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
 # Incidences closer than this on the disk are one scan: gonioreflectometers repeat to about 1e-4.
-_SAME_SCAN = 1e-3
+_SAME_SCAN = 5e-4
 _CHUNK = 1 << 17
 
 
@@ -65,7 +64,7 @@ class ScatteredInterpolant:
         return np.stack([first, np.minimum(first + 1, len(self.scans) - 1)], axis=1)
 
     def _best_motion(self, bracket: NDArray[np.intp]) -> int:
-        missed = dict.fromkeys((-1, 0, 1), 0.0)
+        missed: dict[int, float] = dict.fromkeys((-1, 0, 1), 0.0)
         for scan, other in permutations((self.scans[k] for k in bracket), 2):
             step = other.incidence - scan.incidence
             found = {m: scan.evaluate(other.points - m * step) for m in missed}
@@ -77,7 +76,7 @@ class ScatteredInterpolant:
     def shift(self, wi: FloatArray, scan: Scan, bracket: IndexArray) -> FloatArray:
         """(M, 2) by how much ``scan`` is shifted on the disk for incidences wi (M, 2); 0 where they agree."""
         step = wi - scan.incidence
-        away = np.hypot(step[:, 0], step[:, 1]) > SAME_ANGLE
+        away = np.hypot(step[:, 0], step[:, 1]) > _SAME_SCAN
         shift = np.zeros_like(step)
         for b in np.unique(bracket[away]):
             mine = away & (bracket == b)
@@ -169,7 +168,7 @@ class ScatteredInterpolant:
         y = wi[:, 1:2] - self._incidences[None, :, 1]
         distance = np.hypot(x, y)
         nearest = np.argmin(distance, axis=1)
-        at = distance[np.arange(len(wi)), nearest] <= SAME_ANGLE
+        at = distance[np.arange(len(wi)), nearest] <= _SAME_SCAN
         measured |= at
         alone = at | ~measured
         index[alone, 0] = nearest[alone]

@@ -190,7 +190,7 @@ class TableSampler:
         return self._kept[key]
 
 
-def _check_count(n: int, most: int | None) -> None:
+def _check_count(n: Any, most: int | None) -> None:
     whole = isinstance(n, int | np.integer) and not isinstance(n, bool)
     if not whole or n <= 0 or (most is not None and n > most):
         limit = f" and at most {most}" if most is not None else ""

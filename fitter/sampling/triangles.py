@@ -178,7 +178,7 @@ def _integral(corners: FloatArray, value: FloatArray, region: FloatArray) -> flo
     inner = ~outside.any(axis=(1, 2))
     total = float((_area(corners[inner]) * value[inner].mean(axis=1)).sum())
     # A triangle with all corners beyond one edge has no part inside.
-    for k in np.flatnonzero(~inner & ~outside.all(axis=1).any(axis=1)):
+    for k in np.flatnonzero(~inner & ~np.any(outside.all(axis=1), axis=1)):
         piece = _clip(np.concatenate([corners[k], value[k, :, None]], axis=1), region)
         for i in range(1, len(piece) - 1):
             fan = piece[[0, i, i + 1]]

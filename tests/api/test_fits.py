@@ -58,8 +58,8 @@ def test_reports(client: Any, fit: str) -> None:
     [
         {}, {"model": "ward", "models": ["ward"]}, {"models": []}, {"model": "glass"}, {"model": "ward:9"},
         {"models": ["ward"] * 17}, {"model": "ward", "metric": "best"}, {"model": "ward", "seed": -1},
-        {"model": "ward", "bounds": {"alpha": [1]}}, {"model": "ward", "subset": 1}, {"model": "ward", "x": 1},
-        {"model": {"family": "ward", "ndf": "ggx"}}, {"model": None},
+        {"model": "ward", "bounds": {"alpha": [1]}}, {"model": "ward", "subset": 1},
+        {"model": "ward", "x": 1}, {"model": {"family": "ward", "ndf": "ggx"}}, {"model": None},
     ],
 )  # fmt: skip
 def test_bad_fit_requests(client: Any, table: str, body: dict[str, Any]) -> None:

@@ -66,8 +66,10 @@ def test_binary_in_and_out(client: Any, model: str, ward: Any) -> None:
     [
         {"model": "glass", "values": {}}, {"model": "ward", "values": {"gloss": 1}},
         {"model": "ward", "values": {"channels": 1}}, {"model": "ward", "values": {"alpha": -1}},
-        {"model": "ward", "values": {"kd": [1, 2], "ks": [1, 2, 3]}}, {"model": "ward", "values": {"kd": []}},
-        {"model": "ward", "channels": ["R", "R"], "values": {}}, {"model": "ward", "channels": [], "values": {}},
+        {"model": "ward", "values": {"kd": [1, 2], "ks": [1, 2, 3]}},
+        {"model": "ward", "values": {"kd": []}},
+        {"model": "ward", "channels": ["R", "R"], "values": {}},
+        {"model": "ward", "channels": [], "values": {}},
         {"model": "ward", "channels": ["R", "G"], "values": {"kd": [1, 2, 3]}}, {"model": 5, "values": {}},
         {"model": "ward", "values": {"kd": "x"}}, {"model": "", "values": {}}, {"values": {}}, [],
         {"model": {"family": "ward", "lobes": 3}, "values": {}}, {"model": "ward", "values": {}, "x": 1},
@@ -79,7 +81,10 @@ def test_bad_models(client: Any, body: Any) -> None:
     assert answer.headers["content-type"] == "application/problem+json"
 
 
-@pytest.mark.parametrize("text", ['{"model": "ward", "values": {"kd": NaN}}', '{"model": "\\ud800", "values": {}}'])
+@pytest.mark.parametrize(
+    "text",
+    ['{"model": "ward", "values": {"kd": NaN}}', '{"model": "\\ud800", "values": {}}', '{"a"', "[" * 10**5],
+)
 def test_json_that_is_none(client: Any, text: str) -> None:
     answer = client.post("/v1/models", content=text, headers={"content-type": "application/json"})
     assert answer.status_code in (400, 422)
@@ -90,9 +95,12 @@ def test_limits(serving: Any) -> None:
     id = small.post("/v1/models", json={"model": "oren_nayar", "values": {}}).json()["id"]
     here = f"/v1/models/{id}"
     three = [[0, 0, 1]] * 3
-    assert small.post(f"{here}/evaluate", json={"wi": three, "wo": three}).json()["code"] == "too-many-directions"
-    assert small.post(f"{here}/albedo", json={"wi": three}).json()["code"] == "too-many-directions"
-    assert small.post(f"{here}/sample", json={"wi": [0, 0, 1], "n": 4, "seed": 0}).json()["code"] == "too-many-draws"
+    for verb, body, code in (
+        ("evaluate", {"wi": three, "wo": three}, "too-many-directions"),
+        ("albedo", {"wi": three}, "too-many-directions"),
+        ("sample", {"wi": [0, 0, 1], "n": 4, "seed": 0}, "too-many-draws"),
+    ):
+        assert small.post(f"{here}/{verb}", json=body).json()["code"] == code
     for route in (f"{here}/evaluate", "/v1/models", "/v1/fits"):
         long = small.post(route, content=b" " * 2001, headers={"content-type": "application/json"})
         assert (long.status_code, long.json()["code"]) == (413, "too-large")

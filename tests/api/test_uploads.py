@@ -40,18 +40,25 @@ def test_form_upload(client: Any, table_bytes: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "form", [{"data": {"file": "text"}}, {"files": {"other": b"x"}}, {"files": {"file": b"x"}, "data": {"a": "b"}}]
-)
+    "form",
+    [
+        {"files": {"other": b"x"}}, {"files": {"file": b"x"}, "data": {"a": "b"}},
+        {"files": {"a": b"", "file": b""}},
+    ],
+)  # fmt: skip
 def test_wrong_form_is_refused(client: Any, form: dict[str, Any]) -> None:
-    answer = client.post("/v1/tables", **{"files": {}, **form})
+    answer = client.post("/v1/tables", **form)
     assert answer.status_code in (400, 422)
     assert answer.headers["content-type"] == "application/problem+json"
 
 
 def test_truncated_form_is_refused(client: Any) -> None:
+    framed = {"content-type": "multipart/form-data; boundary=b"}
     body = b'--b\r\nContent-Disposition: form-data; name="file"; filename="a"\r\n\r\n1,2'
-    answer = client.post("/v1/tables", content=body, headers={"content-type": "multipart/form-data; boundary=b"})
-    assert answer.status_code in (400, 422)
+    for broken in (body, b"--b--\r\n", b"no form", b"--b\r\n" + b"a" * 20_000, body + b"\r\n--b"):
+        answer = client.post("/v1/tables", content=broken, headers=framed)
+        assert answer.status_code in (400, 422)
+        assert answer.json()["code"] == "bad-form"
     no_boundary = client.post("/v1/tables", content=b"x", headers={"content-type": "multipart/form-data"})
     assert no_boundary.status_code == 400
 
@@ -91,12 +98,14 @@ def test_bad_options_name_the_parameter(
 @pytest.mark.parametrize(
     "body",
     [
-        b"", b"\n\n", b"\x00\x01\x02" * 50, b"<!doctype html><html><body>log in</body></html>", b"PK\x03\x04junk",
+        b"", b"\n\n", b"\x00\x01\x02" * 50, b"<!doctype html><html><body></body></html>", b"PK\x03\x04junk",
         b"\xff" * 1000, b"\x1f\x8b\x08", b"{}", small_table()[:60], b"\x7f\xff\xff\x7f" * 3 + b"\0" * 24,
         "theta_i_deg,theta_o_deg,dphi_deg,brdf\n1,2,3,\ud800".encode("utf-8", "surrogatepass"),
     ],
 )  # fmt: skip
-def test_junk_is_a_problem_and_leaves_nothing(serving: Callable[..., Any], tmp_path: Path, body: bytes) -> None:
+def test_junk_is_a_problem_and_leaves_nothing(
+    serving: Callable[..., Any], tmp_path: Path, body: bytes
+) -> None:
     answer = serving().post("/v1/tables", content=body)
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
@@ -144,7 +153,7 @@ def test_large_upload_is_cut(serving: Callable[..., Any], tmp_path: Path) -> Non
 
     def endless() -> Iterator[bytes]:
         nonlocal sent
-        while sent < 1 << 30:
+        while sent < 1 << 20:
             sent += 1 << 16
             yield b"x" * (1 << 16)
 

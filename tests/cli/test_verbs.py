@@ -30,11 +30,12 @@ def test_info(run: Run, plaster: Path) -> None:
     assert "specular side" in text
 
 
-def test_info_of_a_folder(run: Run) -> None:
-    document = run(
-        "info", datasets.sample("diffuse_plaster").parent, "--item", "glossy_paint", "--json"
-    ).document
-    assert document["name"] == "glossy_paint"
+def test_info_of_a_folder(run: Run, tmp_path: Path) -> None:
+    run("datasets", "copy", "diffuse_plaster", "glossy_paint", "--out", tmp_path)
+    document = run("info", tmp_path, "--json").document
+    assert document["kind"] == "brdf-fitter/tables"
+    assert [table["name"] for table in document["tables"]] == ["diffuse_plaster", "glossy_paint"]
+    assert run("info", tmp_path, "--item", "glossy_paint", "--json").document["name"] == "glossy_paint"
 
 
 def test_info_takes_reading_options(run: Run, tmp_path: Path) -> None:
@@ -112,7 +113,7 @@ def test_compress_and_decompress(run: Run, plaster: Path, tmp_path: Path) -> Non
     document = run("compress", plaster, "--tolerance", "0", "--out", small, "--json").document
     assert document["bytes"] == small.stat().st_size
     assert run("info", small, "--json").document["hash"] == fitter.load(plaster).hash
-    assert run("info", small, "--quantity", "brdf").status == 2
+    assert run("info", small, "--quantity", "ccbrdf").status == 2
     document = run("decompress", small, "--out", text, "--json").document
     assert document["hash"] == fitter.load(plaster).hash == fitter.load(text).hash
     assert run("decompress", plaster, "--out", tmp_path / "no.csv").status == 2
@@ -235,3 +236,17 @@ def test_serve_until_interrupted(tmp_path: Path) -> None:
     assert running.returncode == 0, err
     assert json.loads(out)["url"] == f"http://127.0.0.1:{port}"
     assert "Traceback" not in err
+
+
+def test_demo(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", "--out", tmp_path / "demo", "--budget-seconds", "30", "--json")
+    assert ran.status == 0, ran.err
+    document = ran.document
+    assert document["best"] == "torrance_sparrow"
+    assert {model["status"] for model in document["models"].values()} == {"converged"}
+    page = Path(document["html"])
+    assert page == (tmp_path / "demo" / "report.html").resolve()
+    assert page.read_text().lstrip().lower().startswith("<!doctype html>")
+    assert document["seconds"]["total"] == pytest.approx(
+        sum(seconds for step, seconds in document["seconds"].items() if step != "total"), abs=0.5
+    )

@@ -18,11 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.formats import describe, load_all
 
-    options = reading.reading_options(given)
-    if reading.is_container(given.table):
-        tables = [reading.open_table(given.table, options).table]
-    else:
-        tables = load_all(given.table, **options.to_dict())
+    tables = load_all(given.table, **reading.reading_options(given).to_dict())
     described: list[dict[str, Any]] = [dict(describe(table)) for table in tables]
 
     def show(screen: Screen) -> None:

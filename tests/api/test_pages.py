@@ -1,0 +1,84 @@
+"""The front page, the documentation, health, metrics and the errors of no route at all."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+
+def test_pages_fetch_nothing_from_outside(client: Any) -> None:
+    front, docs = client.get("/"), client.get("/docs")
+    assert 'href="docs"' in front.text
+    for page in (front, docs):
+        assert not re.findall(r'(?:src|href)="(?:https?:)?//[^"]*"', page.text)
+    for asset in re.findall(r'(?:src|href)="(docs-assets/[^"]*)"', docs.text):
+        assert client.get(f"/{asset}").status_code == 200
+    assert client.get("/openapi.json").json()["openapi"].startswith("3.1")
+
+
+def test_host_header_is_not_markup(client: Any) -> None:
+    page = client.get("/", headers={"host": 'x"><script>alert(1)</script>'})
+    assert "<script>" not in page.text
+
+
+def test_health(client: Any) -> None:
+    assert client.get("/healthz").json()["status"] == "ok"
+    assert client.get("/readyz").json()["status"] == "ok"
+
+
+def test_readiness_says_no(serving: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = serving()
+    service = client.app.state.service
+
+    def away() -> None:
+        raise OperationalError("select 1", {}, Exception("gone"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(service.store, "ping", away)
+        assert client.get("/readyz").status_code == 503
+        assert client.get("/healthz").status_code == 200
+    service.stopping.set()
+    assert client.get("/readyz").json()["code"] == "not-ready"
+
+
+def test_metrics(client: Any, table: str) -> None:
+    answer = client.get("/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    for line in answer.text.splitlines():
+        assert re.fullmatch(r'#.*|[a-z_]+(\{([a-z]+="[^"]*",?)+\})? [-+0-9.e]+', line), line
+    assert re.search(r"^brdf_tables [1-9]", answer.text, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/nothing", 404), ("PUT", "/v1/tables", 405), ("DELETE", "/healthz", 405),
+        ("GET", "/docs-assets/x", 404),
+    ],
+)  # fmt: skip
+def test_errors_without_a_route(client: Any, method: str, path: str, status: int) -> None:
+    answer = client.request(method, path)
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["status"] == status
+    assert ("allow" in answer.headers) == (status == 405)
+
+
+def test_unforeseen_error_is_a_problem_without_its_detail(
+    serving: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = serving()
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("secret")
+
+    monkeypatch.setattr(client.app.state.service.store, "page", broken)
+    transport = client._transport
+    transport.raise_server_exceptions = False
+    answer = client.get("/v1/tables")
+    assert answer.status_code == 500
+    assert answer.json()["code"] == "internal-error"
+    assert "secret" not in answer.text

@@ -1,0 +1,112 @@
+"""The page: escaped, self-contained, accessible."""
+
+from __future__ import annotations
+
+import base64
+import re
+import threading
+from html.parser import HTMLParser
+
+import pytest
+
+from fitter.report import build
+from fitter.report.figures import plain
+from tests.report.conftest import MakeFit, MakePosterior, MakeTable
+
+NASTY = '<script>alert("x")</script>'
+
+
+class _Elements(HTMLParser):
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def page(make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> str:
+    table = make_table((NASTY, "G", "B"), name=NASTY, masked={}, notes=(NASTY,), provenance={NASTY: NASTY})
+    fit = make_fit(table, message=NASTY, warnings=(NASTY,), status="not_converged")
+    return build(table, fit, make_posterior(fit, message=NASTY, warnings=(NASTY,))).html()
+
+
+def test_names_of_strangers_are_escaped(page: str) -> None:
+    assert "<script" not in page.lower()
+    assert page.count("&lt;script&gt;") > 10
+
+
+def test_every_element_is_closed(page: str) -> None:
+    assert _Elements(page).open == []
+
+
+def test_nothing_is_fetched(page: str) -> None:
+    for tag, attributes in _Elements(page).found:
+        assert tag not in ("script", "link", "iframe", "object", "embed", "base")
+        for name, value in attributes.items():
+            assert not name.startswith("on")
+            if name in ("src", "srcset", "poster", "data", "action"):
+                assert (value or "").startswith(("data:image/svg+xml;base64,", "data:image/png;base64,"))
+            if name == "href":
+                assert (value or "").startswith("#")
+    assert "@import" not in page
+    assert "url(" not in page
+    without_data = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
+    assert "http://" not in without_data
+    assert "https://" not in without_data
+
+
+def test_figures_fetch_nothing(page: str) -> None:
+    pictures = re.findall(r"svg\+xml;base64,([A-Za-z0-9+/=]+)", page)
+    assert len(pictures) >= 15
+    for picture in pictures:
+        svg = base64.b64decode(picture).decode("utf-8")
+        for link in re.findall(r'href="([^"]*)"', svg):
+            assert link.startswith(("#", "data:"))
+        assert "<script" not in svg
+
+
+def test_every_figure_has_words_and_every_link_a_target(page: str) -> None:
+    found = _Elements(page).found
+    assert all(attributes.get("alt") for tag, attributes in found if tag == "img")
+    identifiers = {attributes.get("id") for _, attributes in found}
+    links = [attributes["href"] or "" for tag, attributes in found if tag == "a"]
+    assert len(links) >= 9
+    assert all(link.removeprefix("#") in identifiers for link in links)
+
+
+def test_the_words_of_gum(page: str) -> None:
+    for words in (
+        "standard uncertainty u", "expanded uncertainty U = k u", "credible",
+        "it is not a constant of the material",
+    ):  # fmt: skip
+        assert words in page
+
+
+def test_pyplot_keeps_no_figure_and_threads_do_not_mind(make_table: MakeTable, make_fit: MakeFit) -> None:
+    from matplotlib import pyplot
+
+    table = make_table(("value",), in_plane=True)
+    report = build(table, make_fit(table))
+    pages: list[str] = []
+    threads = [threading.Thread(target=lambda: pages.append(report.html())) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(pages) == 3
+    assert pyplot.get_fignums() == []
+
+
+def test_figure_text_is_plain() -> None:
+    assert plain("$x$") == r"\$x\$"
+    assert plain("漢\n字") == "???"
+    assert len(plain("a" * 100)) == 60

@@ -1,0 +1,337 @@
+"""The record of a report: what it says, and that nothing makes it fail."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fitter import directions, models
+from fitter.compression import compress
+from fitter.errors import SpecError
+from fitter.fitting.result import Estimate, FitResult
+from fitter.report import Report, build, load_report
+from fitter.report.parameters import scale_sensitivity
+from fitter.spec import FAMILIES, FitSpec, Select
+from fitter.table import Table
+from tests.report.conftest import MakeFit, MakePosterior, MakeTable
+
+SECTIONS = (
+    "kind", "version", "created", "title", "fit", "parameters", "correlation", "residuals", "slices",
+    "reflectance", "posterior", "cost", "table", "comparison", "provenance", "warnings", "verdict",
+)  # fmt: skip
+
+
+def strict(report: Report, *, drawn: bool = False) -> dict[str, Any]:
+    """The record after a trip through strict JSON; ``drawn``: its page can be drawn as well."""
+    record = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    if drawn:
+        assert Report.from_dict(record).html().startswith("<!doctype html>")
+    return record
+
+
+def without(fit: FitResult, name: str, bound: str | None = None) -> FitResult:
+    """The fit, with no uncertainty stated for a parameter."""
+    old = fit.parameters[name]
+    blank = np.full_like(old.standard_uncertainty, np.nan)
+    entry = replace(old, standard_uncertainty=blank, at_bound=(bound,) * len(old.at_bound))
+    covariance = fit.covariance.copy()
+    for k, label in enumerate(fit.labels):
+        if label.partition("[")[0] == name:
+            covariance[k, :] = covariance[:, k] = np.nan
+    return replace(fit, parameters={**fit.parameters, name: entry}, covariance=covariance)
+
+
+def test_the_schema_is_stable(make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> None:
+    table = make_table()
+    fit = make_fit(table)
+    record = strict(build(table, fit, make_posterior(fit)))
+    assert tuple(record) == SECTIONS
+    assert (record["kind"], record["version"]) == ("brdf-fitter/report", 1)
+    assert set(record["parameters"]["rows"][0]) == {
+        "name", "channel", "label", "display", "unit", "description", "linear", "lower", "upper", "prior",
+        "estimate", "standard_uncertainty", "expanded_uncertainty", "components", "scale_sensitivity",
+        "at_bound", "state", "barely_determined", "text", "posterior",
+    }  # fmt: skip
+    assert set(record["verdict"]) == {"level", "headline", "sentences", "reasons", "thresholds"}
+    assert len(record["verdict"]["sentences"]) == 3
+    assert set(record["residuals"]["angles"]) == {"theta_h", "theta_i", "theta_o", "theta_d"}
+
+
+def test_a_good_fit_is_said_to_be_usable(
+    make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
+) -> None:
+    table = make_table()
+    fit = make_fit(table)
+    verdict = strict(build(table, fit, make_posterior(fit)))["verdict"]
+    assert verdict["level"] == "good"
+    assert verdict["reasons"] == []
+    assert "5.0 %" in verdict["sentences"][0]
+    assert "U = k u" in verdict["sentences"][1]
+    assert "1.0030" in verdict["sentences"][2]
+
+
+def test_failures_are_said_first(make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> None:
+    table = make_table()
+    fit = replace(make_fit(table), status="not_converged", message="the last pass still moved")
+    posterior = replace(make_posterior(fit), status="not_converged", message="R-hat is 1.4")
+    verdict = strict(build(table, fit, posterior))["verdict"]
+    assert verdict["level"] == "bad"
+    assert "the last pass still moved." in verdict["reasons"][0]
+    assert any("R-hat is 1.4." in reason for reason in verdict["reasons"])
+
+
+def test_bounds_and_unidentified_parameters_are_put_into_words(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    fit = without(without(make_fit(table), "alpha"), "ks", "lower")
+    record = strict(build(table, replace(fit, status="not_identified", message="alpha is open")))
+    states = {row["label"]: row["state"] for row in record["parameters"]["rows"]}
+    assert states["alpha"] == "not identified"
+    assert states["ks[G]"] == "on its lower bound"
+    assert all(row["standard_uncertainty"] is None for row in record["parameters"]["rows"] if row["name"] != "kd")
+    text = " ".join([*record["verdict"]["sentences"], *record["verdict"]["reasons"]])
+    assert "ks[R], ks[G] and ks[B] lie on a bound" in text
+    assert "alpha is not identified by this table" in text
+    assert "3 of 7 free parameters" in text
+
+
+def test_no_uncertainty_at_all(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    fit = make_fit(table)
+    for name in fit.parameters:
+        fit = without(fit, name)
+    record = strict(build(table, replace(fit, status="not_identified")), drawn=True)
+    assert record["correlation"]["labels"] == []
+    assert record["verdict"]["level"] == "bad"
+
+
+def test_a_scale_uncertainty_is_a_component_of_the_linear_parameters(
+    make_table: MakeTable, make_fit: MakeFit
+) -> None:
+    table = make_table(scale_uncertainty=0.03, angle_uncertainty=1e-3)
+    record = strict(build(table, make_fit(table, u=0.04)))
+    rows = {row["label"]: row for row in record["parameters"]["rows"]}
+    kd, alpha = rows["kd[R]"], rows["alpha"]
+    assert kd["components"]["fit"] == pytest.approx(0.04 * 0.2)
+    assert kd["components"]["scale"] == pytest.approx(0.03 * 0.2)
+    assert kd["standard_uncertainty"] == pytest.approx(0.05 * 0.2)
+    assert kd["expanded_uncertainty"] == pytest.approx(0.1 * 0.2)
+    assert kd["text"]["scale"] == "0.0060"
+    assert alpha["components"]["scale"] == 0
+    assert alpha["standard_uncertainty"] == pytest.approx(0.04 * 0.15)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_scale_sensitivity_is_that_of_a_table_in_other_units(family: str) -> None:
+    model = models.create(family, **({"ks": 0.3, "f0": 0.2} if family == "torrance_sparrow" else {}))
+    kind = type(model)
+    scaled = kind.linear_from(model.spec, tuple(1.01 * c for c in kind.coefficients(model.spec, model.linear)))
+    for name, slope in scale_sensitivity(model).items():
+        change = (np.asarray(scaled[name]) - np.asarray(model.linear[name])) / 0.01
+        np.testing.assert_allclose(slope, change, rtol=1e-9, atol=1e-12)
+        assert name != "f0" or slope == 0
+
+
+def test_residuals_of_a_known_misfit(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table(("value",), sigma=True)
+    fit = make_fit(table)
+    twice = models.create("ward", channels=("value",), kd=0.2, ks=0.1, alpha=0.15)
+    half = replace(fit, model=models.create("ward", channels=("value",), kd=0.1, ks=0.05, alpha=0.15))
+    right = strict(build(table, half))["residuals"]["per_channel"][0]
+    wrong = strict(build(table, replace(fit, model=twice)))["residuals"]["per_channel"][0]
+    assert right["relative_rmse"] == pytest.approx(0.03, rel=0.1)
+    assert right["birge_ratio"] == pytest.approx(1.0, abs=0.1)
+    assert right["systematic_share"] < 0.1
+    assert wrong["relative_bias"] == pytest.approx(-1.0, abs=0.05)
+    assert wrong["birge_ratio"] > 20
+
+
+def test_slices_hold_the_samples_of_their_plane(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    record = strict(build(table, make_fit(table)))["slices"]
+    assert [round(cut["theta_i_deg"]) for cut in record["slices"]] == [0, 15, 30, 45, 60]
+    cut = record["slices"][2]
+    x, fit = np.array(cut["curve"]["theta_o_deg"]), np.array(cut["curve"]["fit"]["R"])
+    assert cut["samples"] == 21
+    assert x[np.argmax(fit)] == pytest.approx(30.0, abs=3)  # the lobe leans a little towards grazing
+    peak = int(np.argmax(cut["points"]["measured"]["R"]))
+    assert cut["points"]["theta_o_deg"][peak] == pytest.approx(30.0, abs=7.6)
+
+
+def test_posterior_bands_contain_the_curve(
+    make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
+) -> None:
+    names = tuple(f"{400 + 10 * k} nm" for k in range(31))
+    table = make_table(names, in_plane=True)
+    fit = make_fit(table)
+    record = strict(build(table, fit, make_posterior(fit, draws=100)), drawn=True)
+    assert record["slices"]["channels"] == [names[0], names[10], names[20], names[30]]
+    assert record["slices"]["level"] == 0.95
+    curve = record["slices"]["slices"][0]["curve"]
+    inside = np.array(curve["lower"][names[30]]) < np.array(curve["fit"][names[30]])
+    assert inside.all()
+    assert len(record["parameters"]["rows"]) == 63
+    assert len(record["posterior"]["corner"]["labels"]) <= 6
+    assert len(json.dumps(record)) < 1_000_000
+
+
+def test_reflectance_above_one_is_flagged(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table(("value",))
+    bright = models.create("ward", channels=("value",), kd=1.2, ks=0.0, alpha=0.15)
+    record = strict(build(table, replace(make_fit(table), model=bright)))
+    rows = record["reflectance"]["rows"]
+    assert all(row["above_one"] for row in rows)
+    assert [row["theta_i_deg"] for row in rows if row["extrapolated"]] == [75.0, 85.0]
+    assert any("more than arrives" in reason for reason in record["verdict"]["reasons"])
+
+
+def test_correlated_parameters_are_named(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table(("value",))
+    fit = make_fit(table, u=0.3)
+    u = np.sqrt(np.diag(fit.covariance))
+    r = np.array([[1.0, -0.995, 0.1], [-0.995, 1.0, 0.1], [0.1, 0.1, 1.0]])
+    record = strict(build(table, replace(fit, covariance=r * np.outer(u, u))))
+    assert "kd and ks are hardly separable" in record["correlation"]["not_separable"][0]
+    assert record["correlation"]["not_separable"][0] in record["verdict"]["reasons"]
+
+
+HARD = {
+    "one sample": {"rows": 1},
+    "two samples": {"rows": 2},
+    "one incidence": {"incidences": (30.0,)},
+    "normal incidence": {"incidences": (0.0,)},
+    "in plane": {"in_plane": True},
+    "one channel": {"channels": ("value",)},
+    "a channel of zeros": {"zero": "G"},
+    "formulas for names": {"channels": (r"$\frac{", "漢字", "a" * 300)},
+    "bytes for a name": {"name": "caf\udce9"},
+}
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_hard_tables(case: str, make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> None:
+    keywords: dict[str, Any] = HARD[case]
+    table = make_table(**keywords)
+    fit = make_fit(table)
+    record = strict(build(table, fit, make_posterior(fit, draws=60)), drawn=True)
+    assert record["residuals"]["samples"] == int(table.mask.sum())
+    if case == "a channel of zeros":
+        by_name = {row["channel"]: row["relative_rmse"] for row in record["residuals"]["per_channel"]}
+        assert by_name["G"] is None
+        assert by_name["R"] is not None
+
+
+def test_a_scattered_anisotropic_table(make_fit: MakeFit) -> None:
+    rng = np.random.default_rng(5)
+    theta, phi = np.arccos(1 - 0.9 * rng.random((2, 3000))), 2 * np.pi * rng.random((2, 3000))
+    wi, wo = (directions.vector_from_spherical(theta[k], phi[k]) for k in (0, 1))
+    value = np.asarray(models.create("ward", kd=0.2, ks=0.05, alpha=0.15).evaluate(wi, wo))
+    table = Table(wi=wi, wo=wo, value=value)
+    assert table.symmetry == "anisotropic"
+    record = strict(build(table, make_fit(table)))
+    assert record["slices"]["azimuth_deg"] is not None
+
+
+def test_draws_that_do_not_vary(make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> None:
+    table = make_table(("value",))
+    fit = make_fit(table)
+    posterior = make_posterior(fit)
+    stuck = replace(posterior, draws=np.repeat(posterior.draws[:1], 100, axis=0), history=(), diagnostics={})
+    record = strict(build(table, fit, stuck), drawn=True)
+    assert record["posterior"]["corner"]["labels"] == []
+    assert record["posterior"]["largest_rhat"] is None
+
+
+def test_metrics_that_are_not_finite(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    nan = dict.fromkeys(("objective", "rmse", "relative_rmse", "r2"), float("nan"))
+    assert strict(build(table, make_fit(table, metrics=nan)), drawn=True)["verdict"]["level"] == "bad"
+
+
+def test_selection_fixed_parameters_and_comparison(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    fit = make_fit(table)
+    spec = FitSpec(
+        model=fit.spec.model, fixed={"alpha": 0.15}, seed=3,
+        select=Select(theta_i_max_deg=30.0, theta_o_max_deg=60.0),
+    )  # fmt: skip
+    keep = [k for k, label in enumerate(fit.labels) if label != "alpha"]
+    alpha = replace(fit.parameters["alpha"], standard_uncertainty=np.asarray(np.nan))
+    held = replace(
+        fit, spec=spec, parameters={**fit.parameters, "alpha": alpha},
+        labels=tuple(fit.labels[k] for k in keep), covariance=fit.covariance[np.ix_(keep, keep)],
+    )  # fmt: skip
+    record = strict(build(table, held, others=(fit, make_fit(table, "lafortune:2"))), drawn=True)
+    assert record["residuals"]["of"] < int(table.mask.sum())
+    assert [row["model"] for row in record["comparison"]] == ["ward", "ward", "lafortune:2"]
+    assert [row["state"] for row in record["parameters"]["rows"]][-1] == "fixed"
+    command = record["provenance"]["commands"][0]
+    assert "--fixed alpha=0.15" in command
+    assert "--theta-i-max 30.0 --theta-o-max 60.0" in command
+
+
+def test_a_subsample_is_said_and_seeded(make_fit: MakeFit, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fitter.report import residuals
+
+    monkeypatch.setattr(residuals, "MOST_SAMPLES", 500)
+    rng = np.random.default_rng(5)
+    theta, phi = np.arccos(rng.uniform(0.1, 1, (2, 2000))), 2 * np.pi * rng.random(2000)
+    wi = directions.vector_from_spherical(theta[0], 0.0)
+    table = Table(wi=wi, wo=directions.vector_from_spherical(theta[1], phi), value=rng.random(2000))
+    report = build(table, make_fit(table))
+    again = build(table, make_fit(table))
+    assert report.record["residuals"] == again.record["residuals"]
+    assert (report.record["residuals"]["samples"], report.record["residuals"]["of"]) == (500, 2000)
+    assert "random subsample of 500 of 2,000" in re.sub(r"\s+", " ", report.html())
+
+
+def test_mismatches(make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior) -> None:
+    table, other = make_table(), make_table(("value",))
+    fit = make_fit(table)
+    with pytest.raises(SpecError) as channels:
+        build(other, fit)
+    assert channels.value.code == "table-mismatch"
+    with pytest.raises(SpecError) as posterior:
+        build(table, fit, make_posterior(make_fit(other)))
+    assert posterior.value.code == "posterior-mismatch"
+    verdict = strict(build(make_table(in_plane=True), fit))["verdict"]
+    assert verdict["level"] == "bad"
+    assert "not the one that was fitted" in verdict["reasons"][0]
+
+
+def test_a_compressed_table(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    small = compress(table, 0.01)
+    fit = make_fit(small.decompress())
+    assert strict(build(small, fit))["table"]["mismatch"] is None
+
+
+def test_saved_and_read_again(tmp_path: Path, make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    report = build(table, make_fit(table))
+    report.save(tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+    assert load_report(tmp_path / "out" / "report.json").to_dict() == report.to_dict()
+    with pytest.raises(SpecError) as error:
+        Report.from_dict({"kind": "brdf-fitter/fit"})
+    assert error.value.code == "not-a-report"
+
+
+def test_estimates_of_other_shapes(make_table: MakeTable, make_fit: MakeFit) -> None:
+    """A nonlinear parameter per channel is a row per channel."""
+    table = make_table()
+    fit = make_fit(table)
+    alpha = Estimate(np.full(3, 0.15), np.full(3, 0.01), "1", "roughness", (None,) * 3)
+    model = models.create("ward", channels=("R", "G", "B"), kd=0.2, ks=0.05, alpha=[0.15] * 3)
+    labels = (*fit.labels[:-1], "alpha[R]", "alpha[G]", "alpha[B]")
+    wide = replace(
+        fit, model=model, parameters={**fit.parameters, "alpha": alpha}, labels=labels,
+        covariance=np.diag(np.full(9, 1e-4)),
+    )  # fmt: skip
+    rows = strict(build(table, wide))["parameters"]["rows"]
+    assert [row["label"] for row in rows][-3:] == ["alpha[R]", "alpha[G]", "alpha[B]"]
