@@ -28,6 +28,8 @@ from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 FIRST_STEPS = 100
+#: Steps of the rounds after which the proposals are fitted to the walkers; all of them are discarded.
+TUNING = (100, 100, 200)
 #: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
 LARGEST_NOISE = 3.0
 
@@ -39,8 +41,21 @@ class _Run:
     density: Density
     labels: list[str]
     logs: NDArray[np.bool_]
-    samplers: list[emcee.EnsembleSampler]
     starts: list[FloatArray]
+    seeds: np.random.SeedSequence
+    samplers: list[emcee.EnsembleSampler]
+
+    def ensembles(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """New samplers with proposals of this mean and covariance, each with its own random state."""
+        self.samplers = []
+        for seed in self.seeds.spawn(len(self.starts)):
+            sampler = emcee.EnsembleSampler(
+                len(self.starts[0]), self.density.size, self.density, vectorize=True,
+                moves=mixture(mean, covariance),
+            )  # fmt: skip
+            state = np.random.RandomState(seed.generate_state(8))  # noqa: NPY002 (emcee's generator)
+            sampler.random_state = state.get_state()
+            self.samplers.append(sampler)
 
     def advance(self, steps: int) -> None:
         """Every ensemble by ``steps``; the compiled density releases the GIL, so threads help."""
@@ -50,6 +65,14 @@ class _Run:
 
         with ThreadPoolExecutor(len(self.samplers)) as pool:
             self.starts = list(pool.map(one, range(len(self.samplers))))
+
+    def tune(self, steps: int) -> None:
+        """Run, then fit the proposals to where the walkers are: a posterior is seldom its own Laplace."""
+        self.advance(steps)
+        seen = np.concatenate([s.get_chain(discard=steps // 2, flat=True) for s in self.samplers])
+        covariance = np.cov(seen.T).reshape(self.density.size, -1)
+        covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
+        self.ensembles(seen.mean(axis=0), covariance)
 
     def chains(self) -> FloatArray:
         """(walkers of all ensembles, steps, P) in the model's coordinates, the first half discarded."""
@@ -106,6 +129,12 @@ def sample(
     runs = [_start(places, fit, data, index, group, kind, request, rng) for group in groups]
     prepared = time.perf_counter()
 
+    for steps in TUNING:
+        progress(0.01, "tuning the proposals")
+        for run in runs:
+            run.tune(steps)
+    tuned = time.perf_counter()
+
     history: list[dict[str, float]] = []
     steps = FIRST_STEPS
     while True:
@@ -124,14 +153,14 @@ def sample(
             }
         )  # fmt: skip
         done = rhat < request.rhat and ess >= request.ess
-        per_step = (seconds - (prepared - begun)) / runs[0].samplers[0].iteration
+        per_step = (seconds - (tuned - begun)) / runs[0].samplers[0].iteration
         left = request.budget_seconds - seconds
         if done or left < per_step * FIRST_STEPS / 2:
             break
         # As many steps again, or what the budget still allows.
         steps = max(FIRST_STEPS // 2, min(runs[0].samplers[0].iteration, int(left / per_step)))
     progress(1.0, "done")
-    return _posterior(table, fit, request, runs, found, history, done, kind, data, index, begun, prepared)
+    return _posterior(table, fit, request, runs, found, history, done, kind, data, index, begun, prepared, tuned)
 
 
 def _request(settings: dict[str, Any]) -> PosteriorSpec:
@@ -190,23 +219,21 @@ def _start(
             remedy="check sigma and the units of the values",
         )  # fmt: skip
     walkers = request.walkers or max(32, 2 * (len(x) + 1))
-    samplers: list[emcee.EnsembleSampler] = []
-    starts: list[FloatArray] = []
-    for _ in range(request.ensembles):
-        sampler = emcee.EnsembleSampler(
-            walkers, len(x), density, vectorize=True, moves=mixture(mode, covariance)
-        )
-        sampler.random_state = np.random.RandomState(int(rng.integers(2**32))).get_state()  # noqa: NPY002
-        samplers.append(sampler)
-        # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
-        starts.append(mode + 2.0 * rng.standard_normal((walkers, len(x))) @ np.linalg.cholesky(covariance).T)
-    return _Run(density, labels, logs, samplers, starts)
+    # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
+    spread = 2.0 * np.linalg.cholesky(covariance)
+    starts = [
+        mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)
+    ]
+    seeds = np.random.SeedSequence(int(rng.integers(2**63)))
+    run = _Run(density, labels, logs, starts, seeds, [])
+    run.ensembles(mode, covariance)
+    return run
 
 
 def _posterior(
     table: Table, fit: FitResult, request: PosteriorSpec, runs: list[_Run], found: list[list[Diagnostic]],
     history: list[dict[str, float]], done: bool, kind: str, data: Usable, index: NDArray[np.intp],
-    begun: float, prepared: float,
+    begun: float, prepared: float, tuned: float,
 ) -> Posterior:  # fmt: skip
     rng = np.random.default_rng([request.seed, 1])
     labels: list[str] = []
@@ -259,7 +286,7 @@ def _posterior(
         history=tuple(history),
         cost={
             "seconds": time.perf_counter() - begun,
-            "phases": {"mode": prepared - begun, "sampling": time.perf_counter() - prepared},
+            "phases": {"mode": prepared - begun, "tuning": tuned - prepared, "sampling": time.perf_counter() - tuned},
             "evaluations": int(steps * walkers * request.ensembles * len(runs)),
             "walkers": int(walkers), "ensembles": request.ensembles, "steps": steps,
         },

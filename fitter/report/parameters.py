@@ -38,10 +38,10 @@ MEANING = (
     "it is not a constant of the material."
 )
 KINDS = {
-    "curvature": "curvature of the objective at the optimum, with the scatter of the residuals taken as "
-    "independent noise",
-    "sandwich": "sandwich estimate: curvature of the objective combined with the residuals as they are, "
-    "for a metric that is not the likelihood",
+    "curvature": "curvature of the likelihood at the optimum, under the stated noise, independent from "
+    "sample to sample",
+    "sandwich": "curvature of the objective combined with the residuals as they are, taken as independent "
+    "from sample to sample, for a metric that is not the likelihood",
 }
 
 

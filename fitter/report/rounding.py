@@ -9,7 +9,7 @@ from typing import NamedTuple
 #: What is printed where no uncertainty can be stated.
 NOT_STATED = "—"
 #: Decimal exponents of the leading digit that are written out; others go into a power of ten.
-PLAIN = range(-4, 6)
+PLAIN = range(-5, 6)
 #: Significant digits of a value whose uncertainty is not stated.
 VALUE_DIGITS = 5
 #: Significant digits that a float64 can carry: an uncertainty below them does not add zeros.

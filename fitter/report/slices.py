@@ -163,7 +163,10 @@ def _incidences(theta_i: FloatArray) -> list[IndexArray]:
     counts = np.bincount(group)
     least = min(int(counts.max()), max(3, int(counts.max()) // 10))
     usable = np.flatnonzero(counts >= least)
-    return [np.flatnonzero(group == usable[k]) for k in spread(len(usable), MOST_SLICES)]
+    chosen = spread(len(usable), MOST_SLICES)
+    if len(usable) > 2 * MOST_SLICES:  # a grid: the middle of equal shares, not its most grazing cells
+        chosen = tuple(int((k + 0.5) / MOST_SLICES * len(usable)) for k in range(MOST_SLICES))
+    return [np.flatnonzero(group == usable[k]) for k in chosen]
 
 
 def _curve(theta_i: float, measured: FloatArray) -> FloatArray:

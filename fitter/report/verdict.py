@@ -19,6 +19,10 @@ HEADLINES = {
 LARGE_MISFIT, USELESS_MISFIT = 0.2, 1.0
 #: Birge ratio from which on the stated noise does not explain the residuals.
 LARGE_BIRGE = 2.0
+#: R squared below which the model explains little.
+LITTLE_EXPLAINED = 0.5
+#: Systematic share of the residual variance from which on independent noise is no description of it.
+MOSTLY_SYSTEMATIC = 0.5
 MOST_NAMED = 6
 
 
@@ -31,8 +35,23 @@ def section(record: Record) -> dict[str, Any]:
         "headline": HEADLINES[level],
         "sentences": [_misfit(record), _parameters(record), _posterior(record)],
         "reasons": [*bad, *caution],
+        "limits": _limits(record),
         "thresholds": {"relative_rmse": LARGE_MISFIT, "birge_ratio": LARGE_BIRGE},
     }
+
+
+def _limits(record: Record) -> list[str]:
+    """What the stated uncertainties refer to, and what they leave out."""
+    found = [record["parameters"]["meaning"]]
+    share = _systematic(record)
+    if share is not None and share > MOSTLY_SYSTEMATIC:
+        found.append(
+            "Most of the residual is systematic. The uncertainties and credible intervals here take it for noise "
+            "that is independent from sample to sample, and are then too small, typically several times."
+        )
+    if record["parameters"]["scale_uncertainty"] is None:
+        found.append("The table states no scale uncertainty: a calibration error common to all of it is not in u.")
+    return found
 
 
 def _against(record: Record) -> tuple[list[str], list[str]]:
@@ -60,9 +79,14 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
     r2 = fit["metrics"].get("r2")
     if r2 is not None and r2 < 0:
         bad.append(f"A constant would describe the table better than this model (R² = {significant(r2, 3)}).")
+    elif r2 is not None and r2 < LITTLE_EXPLAINED:
+        caution.append(f"The model explains little of the variance of f_r (R² = {significant(r2, 2)}).")
     birge = _birge(record)
     if birge is not None and birge > LARGE_BIRGE:
-        caution.append(f"The residuals are {significant(birge, 2)} times the stated measurement uncertainty.")
+        text = f"The residuals are {significant(birge, 2)} times the stated measurement uncertainty"
+        if fit["uncertainty"] == "curvature":
+            text += ": u, which trusts that uncertainty, is too small by at least about this factor"
+        caution.append(text + ".")
     for state in ("on its lower bound", "on its upper bound"):
         labels = [row["display"] for row in rows if row["state"] == state]
         if labels:

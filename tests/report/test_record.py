@@ -58,7 +58,9 @@ def test_the_schema_is_stable(make_table: MakeTable, make_fit: MakeFit, make_pos
         "estimate", "standard_uncertainty", "expanded_uncertainty", "components", "scale_sensitivity",
         "at_bound", "state", "barely_determined", "text", "posterior",
     }  # fmt: skip
-    assert set(record["verdict"]) == {"level", "headline", "sentences", "reasons", "thresholds"}
+    assert set(record["verdict"]) == {
+        "level", "headline", "sentences", "reasons", "limits", "thresholds",
+    }  # fmt: skip
     assert len(record["verdict"]["sentences"]) == 3
     assert set(record["residuals"]["angles"]) == {"theta_h", "theta_i", "theta_o", "theta_d"}
 
@@ -151,6 +153,18 @@ def test_residuals_of_a_known_misfit(make_table: MakeTable, make_fit: MakeFit) -
     assert wrong["birge_ratio"] > 20
 
 
+def test_a_systematic_misfit_is_said_to_make_u_too_small(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table(("value",), sigma=True)
+    wide = models.create("ward", channels=("value",), kd=0.1, ks=0.05, alpha=0.3)
+    fit = make_fit(table)
+    verdict = strict(build(table, replace(fit, model=wide, uncertainty="curvature")))["verdict"]
+    assert any("too small, typically several times" in text for text in verdict["limits"])
+    assert any("u, which trusts that uncertainty, is too small" in text for text in verdict["reasons"])
+    right = models.create("ward", channels=("value",), kd=0.1, ks=0.05, alpha=0.15)
+    limits = strict(build(table, replace(fit, model=right)))["verdict"]["limits"]
+    assert not any("several times" in text for text in limits)
+
+
 def test_slices_hold_the_samples_of_their_plane(make_table: MakeTable, make_fit: MakeFit) -> None:
     table = make_table()
     record = strict(build(table, make_fit(table)))["slices"]
@@ -211,6 +225,7 @@ HARD = {
     "formulas for names": {"channels": (r"$\frac{", "漢字", "a" * 300)},
     "bytes for a name": {"name": "caf\udce9"},
 }
+WITH_POSTERIOR = ("one sample", "in plane", "formulas for names")
 
 
 @pytest.mark.parametrize("case", HARD)
@@ -218,7 +233,9 @@ def test_hard_tables(case: str, make_table: MakeTable, make_fit: MakeFit, make_p
     keywords: dict[str, Any] = HARD[case]
     table = make_table(**keywords)
     fit = make_fit(table)
-    record = strict(build(table, fit, make_posterior(fit, draws=60)), drawn=True)
+    # A posterior costs a compilation: where the geometry or a name can upset its figures.
+    posterior = make_posterior(fit, draws=60) if case in WITH_POSTERIOR else None
+    record = strict(build(table, fit, posterior), drawn=True)
     assert record["residuals"]["samples"] == int(table.mask.sum())
     if case == "a channel of zeros":
         by_name = {row["channel"]: row["relative_rmse"] for row in record["residuals"]["per_channel"]}
