@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, legend, logarithmic, panel, picture, plain
+from fitter.report import figures
+from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, picture, plain
 
 #: Fewer draws than this make no density.
 FEWEST_DRAWS = 50
@@ -58,11 +59,11 @@ def convergence_pictures(record: Record) -> list[Picture]:
         if not len(points):
             continue
         values = points[:, 1] - 1 if key == "rhat" else points[:, 1]
-        figure, axes = panel(title, "steps per walker", y)
+        figure, axes = figures.panel(title, "steps per walker", y)
         axes.plot(points[:, 0], np.maximum(values, 1e-6), "-o", color=BLUE, markersize=4, linewidth=1.6)
         axes.axhline(target, color=VERMILLION, linestyle="--", linewidth=1.4, label="target")
-        logarithmic(axes)
-        legend(axes, loc="best")
+        figures.logarithmic(axes)
+        figures.legend(axes, loc="best")
         alt = f"{title} against steps; converged when {better} the dashed target line."
         found.append(picture(figure, alt))
     return found

@@ -46,11 +46,14 @@ def _limits(record: Record) -> list[str]:
     share = _systematic(record)
     if share is not None and share > MOSTLY_SYSTEMATIC:
         found.append(
-            "Most of the residual is systematic. The uncertainties and credible intervals here take it for noise "
-            "that is independent from sample to sample, and are then too small, typically several times."
+            "Most of the residual is systematic. The uncertainties and credible intervals here take it for "
+            "noise that is independent from sample to sample, and are then too small, typically several "
+            "times."
         )
     if record["parameters"]["scale_uncertainty"] is None:
-        found.append("The table states no scale uncertainty: a calibration error common to all of it is not in u.")
+        found.append(
+            "The table states no scale uncertainty: a calibration error common to all of it is not in u."
+        )
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from fitter import directions, models
 from fitter.fitting.result import Estimate, FitResult
 from fitter.posterior.result import Diagnostic, Posterior
+from fitter.report import Report
 from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
 from fitter.table import Metadata, Table
 
@@ -26,6 +28,14 @@ def _directions(in_plane: bool, incidences: tuple[float, ...]) -> tuple[Any, Any
     rows = [(i, o, p) for i in incidences for o in theta_o for p in azimuths]
     theta_i, o, phi = np.deg2rad(np.array(rows)).T
     return directions.vector_from_spherical(theta_i, 0.0), directions.vector_from_spherical(o, phi)
+
+
+def strict(report: Report, *, drawn: bool = False) -> dict[str, Any]:
+    """The record after a trip through strict JSON; ``drawn``: its page can be drawn as well."""
+    record = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    if drawn:
+        assert Report.from_dict(record).html().startswith("<!doctype html>")
+    return record
 
 
 @pytest.fixture(scope="session")
@@ -62,7 +72,8 @@ def make_fit() -> MakeFit:
         names = tuple(c.name for c in table.channels)
         given = {"kd": 0.2, "ks": 0.05, "alpha": 0.15}
         declared = models.parameter_table(spec)
-        found = models.create(spec, channels=names, **{p.name: given.get(p.name, p.default) for p in declared})
+        chosen = {p.name: given.get(p.name, p.default) for p in declared}
+        found = models.create(spec, channels=names, **chosen)
         parameters: dict[str, Estimate] = {}
         labels: list[str] = []
         for p in declared:
@@ -75,7 +86,8 @@ def make_fit() -> MakeFit:
         correlation = 0.3 + 0.7 * np.eye(len(deviation))
         result = FitResult(
             spec=FitSpec(model=spec, metric="cosine", seed=7), model=found, parameters=parameters,
-            labels=tuple(labels), covariance=correlation * np.outer(deviation, deviation), uncertainty="sandwich",
+            labels=tuple(labels), covariance=correlation * np.outer(deviation, deviation),
+            uncertainty="sandwich",
             metrics={"objective": 1e-4, "rmse": 0.01, "relative_rmse": 0.05, "r2": 0.99}, status="converged",
             message="converged in 3 passes", evidence={"groups": [{"starts": 8, "agree": 8}]},
             cost={"seconds": 0.5, "phases": {"search": 0.4}, "passes": 3, "samples": len(table)},
