@@ -53,14 +53,7 @@ def create(
     length that does not fit the channels.
     """
     spec = model_spec(model)
-    table = parameter_table(spec)
-    known = {p.name for p in table}
-    for name in values:
-        if name not in known:
-            raise SpecError(
-                f"{spec.name} has no parameter {name!r}", code="unknown-parameter", parameter=name,
-                remedy=f"its parameters are {', '.join(p.name for p in table)}",
-            )  # fmt: skip
+    table = _known(spec, values)
     arrays = {p.name: np.asarray(values.get(p.name, p.default), np.float64) for p in table}
     lengths = {array.size for array in arrays.values() if array.ndim} | ({len(channels)} if channels else set())
     if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
@@ -84,14 +77,31 @@ def create(
     return family_of(spec)(spec=spec, channels=tuple(channels), values=filled)
 
 
+def _known(spec: ModelSpec, values: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """The model's parameter table, once every name in ``values`` is in it."""
+    table = parameter_table(spec)
+    known = [p.name for p in table]
+    for name in values:
+        if name not in known:
+            raise SpecError(
+                f"{spec.name} has no parameter {name!r}", code="unknown-parameter", parameter=name,
+                remedy=f"its parameters are {', '.join(known)}",
+            )  # fmt: skip
+    return table
+
+
 def from_dict(document: Mapping[str, Any]) -> ReflectanceModel:
     """The model that :meth:`ReflectanceModel.to_dict` wrote. Raises SpecError on anything else."""
     try:
         spec, channels, values = document["spec"], document["channels"], document["values"]
         given = {str(name): np.asarray(value, np.float64) for name, value in values.items()}
+        names = [str(channel) for channel in channels]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SpecError(
             f"this is not a model document ({error!r})", code="bad-model-document",
             remedy="it needs spec, channels and values, as `fit --json` prints under model",
         ) from error  # fmt: skip
-    return create(model_spec(spec), channels=tuple(channels), **given)
+    chosen = model_spec(spec)
+    # By name, not by keyword: a stranger's document may hold any key.
+    _known(chosen, given)
+    return create(chosen, channels=names, **given)

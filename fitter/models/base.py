@@ -136,9 +136,11 @@ class ReflectanceModel(eqx.Module):
                 remedy="directions point away from the surface: wi needs a positive z",
             )  # fmt: skip
         key = jax.random.key(seed) if isinstance(seed, int | np.integer) else seed
-        wo, pdf, weight, valid = _sample(self, direction, n, key)
+        # Sizes rounded up to a power of two: callers with any n share a few compiled programs.
+        size = max(1024, 1 << (n - 1).bit_length())
+        wo, pdf, weight, valid = (np.asarray(part)[:n] for part in _sample(self, direction, size, key))
         return Samples(
-            wo=np.asarray(wo), pdf=np.asarray(pdf), weight=np.asarray(weight), valid=np.asarray(valid),
+            wo=wo, pdf=pdf, weight=weight, valid=valid,
             is_delta=np.zeros(n, bool), acceptance=1.0,
             seed=int(seed) if isinstance(seed, int | np.integer) else None,
         )  # fmt: skip

@@ -88,7 +88,7 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
     if birge is not None and birge > LARGE_BIRGE:
         text = f"The residuals are {significant(birge, 2)} times the stated measurement uncertainty"
         if fit["uncertainty"] == "curvature":
-            text += ": u, which trusts that uncertainty, is too small by at least about this factor"
+            text += ": the fit's part of u, which trusts it, is too small by at least about this factor"
         caution.append(text + ".")
     for state in ("on its lower bound", "on its upper bound"):
         labels = [row["display"] for row in rows if row["state"] == state]

@@ -159,7 +159,7 @@ def test_a_systematic_misfit_is_said_to_make_u_too_small(make_table: MakeTable, 
     fit = make_fit(table)
     verdict = strict(build(table, replace(fit, model=wide, uncertainty="curvature")))["verdict"]
     assert any("too small, typically several times" in text for text in verdict["limits"])
-    assert any("u, which trusts that uncertainty, is too small" in text for text in verdict["reasons"])
+    assert any("part of u, which trusts it, is too small" in text for text in verdict["reasons"])
     right = models.create("ward", channels=("value",), kd=0.1, ks=0.05, alpha=0.15)
     limits = strict(build(table, replace(fit, model=right)))["verdict"]["limits"]
     assert not any("several times" in text for text in limits)

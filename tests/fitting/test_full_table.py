@@ -1,0 +1,107 @@
+"""Full-size tables: the subset, the passes over everything, and a MERL file from another generator."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fitter
+from fitter.fitting.samples import usable
+from fitter.spec import Select
+from tests.fitting.conftest import TRUTHS, scattered
+
+ALPHA, KD, KS = 0.12, (0.1, 0.2, 0.3), (0.05, 0.06, 0.07)
+
+
+def merl_file(path: Path, convention: str) -> None:
+    """A MERL file of Ward 1992 with 1 % noise, from the published formulas and none of our code."""
+    offset = 0.5 if convention == "center" else 0.0
+    theta_h = ((np.arange(90) + offset) / 90) ** 2 * np.pi / 2
+    theta_d = (np.arange(90) + offset) / 90 * np.pi / 2
+    phi_d = (np.arange(180) + offset) / 180 * np.pi
+    h, d, p = np.meshgrid(theta_h, theta_d, phi_d, indexing="ij")
+    cos_i = np.cos(h) * np.cos(d) - np.sin(h) * np.sin(d) * np.cos(p)
+    cos_o = np.cos(h) * np.cos(d) + np.sin(h) * np.sin(d) * np.cos(p)
+    above = (cos_i > 0) & (cos_o > 0)
+    lobe = np.exp(-(np.tan(h) ** 2) / ALPHA**2) / (4 * np.pi * ALPHA**2)
+    lobe = lobe / np.sqrt(np.where(above, cos_i * cos_o, 1.0))
+    rng = np.random.default_rng(1)
+    with path.open("wb") as stream:
+        stream.write(struct.pack("<3i", 90, 90, 180))
+        for kd, ks, scale in zip(KD, KS, (1 / 1500, 1.15 / 1500, 1.66 / 1500), strict=True):
+            value = (kd / np.pi + ks * lobe) * (1 + 0.01 * rng.standard_normal(h.shape))
+            np.where(above, value / scale, -1.0).astype("<f8").tofile(stream)
+
+
+@pytest.mark.parametrize("convention", ["center", "corner"])
+def test_merl_table_of_an_independent_generator(tmp_path, convention):
+    path = tmp_path / "measured.anything"
+    merl_file(path, convention)
+    table = fitter.load(path, convention=convention)
+    assert table.grid is not None
+    fit = fitter.fit(table, "ward")
+    assert fit.status == "converged"
+    assert fit.table["fitted"] > 1_000_000
+    assert float(fit.parameters["alpha"].value) == pytest.approx(ALPHA, rel=2e-3)
+    np.testing.assert_allclose(fit.parameters["kd"].value, KD, rtol=5e-3)
+    np.testing.assert_allclose(fit.parameters["ks"].value, KS, rtol=5e-3)
+    # The wrong convention is not a small thing: it would move the roughness by percents.
+    wrong = fitter.load(path, convention="corner" if convention == "center" else "center")
+    assert abs(float(fitter.fit(wrong, "ward").parameters["alpha"].value) / ALPHA - 1) > 0.01
+
+
+def test_subset_stands_for_the_table():
+    """The weighted subset's sums estimate the table's without bias: 200 seeds, 4 standard errors."""
+    from fitter import models
+
+    table = scattered(models.create("ward", **TRUTHS["ward"]), seed=1, n=5000)
+    data = usable(table, "cosine", Select())
+    target = np.square(data.weight * data.value).sum()
+    found = []
+    for seed in range(200):
+        index, scale = data.subset(256, seed)
+        found.append((np.square(data.weight[index] * data.value[index]).sum(axis=1) * scale).sum())
+    assert abs(np.mean(found) - target) < 4 * np.std(found) / np.sqrt(200)
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize(("lobes", "limit"), [(2, 1.0845), (3, 1.0807)])
+def test_retro_tape_reaches_what_others_reach(shared, lobes, limit):
+    table = fitter.load(shared / "measured" / "retro" / "retro-3M-jaune.dat", quantity="brdf")
+    assert len(table) == 7397
+    fit = fitter.fit(table, f"lafortune:{lobes}", metric="absolute")
+    assert fit.status == "converged"
+    assert fit.metrics["rmse"] <= limit
+    # Recomputed from the model, over every row of the file.
+    residual = np.asarray(fit.model.evaluate(table.wi, table.wo)) - table.value
+    assert np.sqrt(np.mean(residual**2)) <= limit
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize("name", ["ward", "torrance_sparrow", "lafortune", "oren_nayar"])
+@pytest.mark.parametrize(
+    ("file", "options"),
+    [
+        ("cornell/garnet_red_RGB.astm", {}),
+        ("retro/retro-3M-jaune.dat", {}),
+        ("retro/retro-gray-tape.dat", {"quantity": "brdf"}),
+        ("mwir/brass.csv", {"convention": "forward"}),
+        ("mwir/lacquer_smooth.csv", {"convention": "forward"}),
+        ("mwir/aluminium_anodised.csv", {"convention": "forward"}),
+        ("mwir/aluminium_sandblasted.csv", {"convention": "forward"}),
+        ("mwir/stainless_steel.csv", {"convention": "forward"}),
+    ],
+)
+def test_every_measured_table_fits_every_family(shared, file, options, name):
+    table = fitter.load(shared / "measured" / file, **options)
+    fit = fitter.fit(table, name)
+    assert fit.status in ("converged", "not_identified"), fit.message
+    for estimate in fit.parameters.values():
+        assert np.isfinite(estimate.value).all()
+    assert np.isfinite(list(fit.metrics.values())).all()
+    index = np.flatnonzero(table.mask)
+    wi, wo = table.directions(index)
+    assert np.isfinite(np.asarray(fit.model.evaluate(wi, wo))).all()
