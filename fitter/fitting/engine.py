@@ -28,8 +28,9 @@ from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
-#: Basins of the subset that are polished before one is chosen: a subset can't tell near-equals apart.
-BASINS = 3
+#: Basins of the subset that are polished there, and within what share of the best one's objective they
+#: go on to the full table: a subset can't tell near-equals apart.
+BASINS, NEAR = 5, 1.1
 
 
 @dataclass
@@ -53,6 +54,7 @@ class _Group:
     estimates: Natural
     evidence: dict[str, Any]
     subset: int
+    passes: int
 
 
 def fit(
@@ -137,13 +139,17 @@ def _solve(
         polish(places, metric, floor, np.concatenate([b.u, b.coefficients.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
     ]
-    start = order_lobes(places, min(ends, key=lambda end: end.normal.objective).p)
+    best = min(end.normal.objective for end in ends)
+    near = [order_lobes(places, end.p) for end in ends if end.normal.objective <= NEAR * best]
     clock.lap("subset polish")
     full = data.blocks(group) if len(index) < len(data) else blocks
-    if request.solver == "optimistix":
-        end = polish(places, metric, floor, start, full)
-    else:
-        end = nlopt_solver.polish(places, metric, floor, start, full)
+    passes = 0
+    if len(near) > 1:
+        rivals = [polish(places, metric, floor, p, full, 10) for p in near]
+        near = [min(rivals, key=lambda end: end.normal.objective).p]
+        passes = sum(end.passes for end in rivals)
+    finish = polish if request.solver == "optimistix" else nlopt_solver.polish
+    end = finish(places, metric, floor, near[0], full)
     clock.lap("polish")
     if not np.isfinite(end.normal.objective):
         raise FitError(
@@ -153,7 +159,7 @@ def _solve(
     positions = [data.channels[c] for c in group]
     estimates = natural(places, end.p, end.normal, positions, len(data), metric == "measurement")
     clock.lap("uncertainty")
-    return _Group(end, estimates, evidence, len(index))
+    return _Group(end, estimates, evidence, len(index), passes + end.passes)
 
 
 def _enough(data: Usable, places: Layout, separate: bool) -> None:
@@ -232,7 +238,7 @@ def _result(
         cost={
             "seconds": float(sum(clock.phases.values())),
             "phases": {name: float(s) for name, s in clock.phases.items()},
-            "passes": int(sum(s.polished.passes for s in solved)),
+            "passes": sum(s.passes for s in solved),
             "samples": len(data),
         },
         table={
@@ -311,7 +317,7 @@ def _verdict(
             f"this table does not determine {', '.join(open_labels)}: other values fit it as well",
             tuple(warnings),
         )
-    passes = sum(s.polished.passes for s in solved)
+    passes = sum(s.passes for s in solved)
     return "converged", f"converged in {passes} passes over {len(data)} samples", tuple(warnings)
 
 

@@ -92,18 +92,21 @@ def layout(fit: FitSpec) -> Layout:
     )
 
 
-def order_lobes(layout: Layout, p: FloatArray) -> FloatArray:
-    """The vector p with interchangeable lobes ordered from broad to narrow.
-
-    Lobes are interchangeable where their free parameters and bounds are alike. Only labels change.
-    """
-    count, t = layout.spec.lobes, len(layout.free)
+def interchangeable(layout: Layout) -> list[list[int]] | None:
+    """Positions in u of each lobe's own parameters, or None unless there are several lobes all alike."""
+    count = layout.spec.lobes
     own = [[k for k, name in enumerate(layout.free) if name.endswith(f"_{lobe + 1}")] for lobe in range(count)]
     kinds = {
         tuple((layout.free[k].rpartition("_")[0], layout.lower[k], layout.upper[k]) for k in ks) for ks in own
     }
+    return own if count > 1 and len(kinds) == 1 and own[0] else None
+
+
+def order_lobes(layout: Layout, p: FloatArray) -> FloatArray:
+    """The vector p with interchangeable lobes ordered from broad to narrow. Only labels change."""
+    own, count, t = interchangeable(layout), layout.spec.lobes, len(layout.free)
     exponents = [k for k, name in enumerate(layout.free) if name.startswith("n_")]
-    if count == 1 or len(kinds) > 1 or len(exponents) != count:
+    if own is None or len(exponents) != count:
         return p
     order = np.argsort(p[exponents], kind="stable")
     u = p[:t].copy()

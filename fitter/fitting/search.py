@@ -11,7 +11,7 @@ from jax import Array
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from fitter.fitting import separable
+from fitter.fitting import beam, separable
 from fitter.fitting.layout import Layout
 
 FloatArray = NDArray[np.float64]
@@ -59,10 +59,12 @@ def search(
     objective = np.asarray(
         separable.screen(layout, jnp.asarray(candidates), pair[:, ::stride], y[::stride], weight[::stride])
     )
-    chosen = _distinct(cube, objective, solves)
-    u, cost, b = (
-        np.asarray(a) for a in separable.solve_many(layout, jnp.asarray(candidates[chosen]), pair, y, weight)
-    )
+    begin = candidates[_distinct(cube, objective, solves)]
+    grown = beam.candidates(layout, pair, y, weight, solves)
+    if grown is not None:
+        # Two thirds of the starts: the beam's resolution is its library's, the others have none.
+        begin = np.concatenate([grown[: solves - solves // 3], begin])[:solves]
+    u, cost, b = (np.asarray(a) for a in separable.solve_many(layout, begin, pair, y, weight))
     ok = np.isfinite(cost) & np.isfinite(u).all(axis=1) & np.isfinite(b).all(axis=(1, 2))
     order = np.flatnonzero(ok)[np.argsort(cost[ok])]
     best = cost[order[0]]
@@ -72,7 +74,7 @@ def search(
             basins.append(Basin(u[k], b[k], float(cost[k])))
     agree = int(np.sum(cost[order] - best <= AGREE * max(best, 1e-300)))
     evidence: dict[str, Any] = {
-        "candidates": len(candidates), "starts": len(chosen), "agree": agree,
+        "candidates": len(candidates), "starts": len(begin), "agree": agree,
         "second_basin": float(basins[1].objective / best - 1.0) if len(basins) > 1 and best > 0 else None,
     }  # fmt: skip
     return basins, evidence

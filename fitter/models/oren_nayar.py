@@ -54,4 +54,4 @@ class OrenNayar(ReflectanceModel):
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
-        return [(CosineLobe(), jnp.ones(()))]
+        return [(CosineLobe(), jnp.ones((), values["sigma"].dtype))]

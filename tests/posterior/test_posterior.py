@@ -1,0 +1,178 @@
+"""Posteriors: moves that keep their target, calibrated intervals, and an honest end."""
+
+from __future__ import annotations
+
+import emcee
+import numpy as np
+import pytest
+
+import fitter
+from fitter import FitSpec, ModelSpec, PosteriorSpec, SpecError, models
+from fitter.fitting.layout import layout
+from fitter.posterior import load_posterior
+from fitter.posterior.density import Density
+from fitter.posterior.diagnostics import diagnose
+from fitter.posterior.moves import LaplaceMove, mixture
+from tests.fitting.conftest import TRUTHS, scattered
+
+QUICK = {"rhat": 1.05, "ess": 400, "budget_seconds": 60.0, "seed": 5}
+
+
+@pytest.fixture(scope="module")
+def ward():
+    model = models.create("ward", kd=0.2, ks=0.06, alpha=0.15)
+    table = scattered(model, seed=1, n=300, noise=0.05, sigma=True)
+    fit = fitter.fit(table, "ward")
+    return model, table, fit, fitter.posterior(table, fit, **QUICK)
+
+
+@pytest.mark.parametrize("dimension", [2, 9])
+def test_moves_keep_a_correlated_normal(dimension):
+    """Standard deviations of a known target to 5 %: emcee's own snooker move misses them by 13 %."""
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((dimension, dimension)) / np.sqrt(dimension) + np.eye(dimension)
+    covariance = root @ root.T
+    inverse = np.linalg.inv(covariance)
+
+    def log_density(x):
+        return -0.5 * np.einsum("wi,ij,wj->w", x, inverse, x)
+
+    for moves in ([(LaplaceMove(np.zeros(dimension), 2.0 * covariance), 1.0)], mixture(np.ones(dimension), covariance)):
+        sampler = emcee.EnsembleSampler(32, dimension, log_density, vectorize=True, moves=moves)
+        sampler.random_state = np.random.RandomState(1).get_state()  # noqa: NPY002
+        sampler.run_mcmc(rng.standard_normal((32, dimension)), 4000)
+        draws = sampler.get_chain(discard=500, flat=True)
+        np.testing.assert_allclose(draws.std(axis=0), np.sqrt(np.diagonal(covariance)), rtol=0.05)
+        np.testing.assert_allclose(draws.mean(axis=0), 0.0, atol=0.12 * np.sqrt(np.diagonal(covariance)).max())
+
+
+def test_folding_keeps_bounds_and_flat_priors():
+    places = layout(FitSpec(model=ModelSpec.parse("ward")))
+    nothing = np.zeros((1, 1))
+    density = Density(
+        places, np.zeros((6, 1)), nothing, nothing + 1, np.array([0.0, -2.0, 0.0]), np.array([np.inf, 1.0, 3.0])
+    )
+    x = np.random.default_rng(0).uniform(-9, 9, (60_000, 3))
+    y = density.folded(x)
+    assert (y >= density.lower).all()
+    assert (y <= density.upper).all()
+    inside = np.array([[0.3, 0.5, 1.5]])
+    np.testing.assert_allclose(density.folded(inside), inside)
+    for k in (1, 2):  # 18 is a whole number of periods: uniform in, uniform out
+        counts, _ = np.histogram(y[:, k], bins=10)
+        assert np.abs(counts / 6000 - 1).max() < 0.07
+
+
+def test_stuck_walkers_are_seen():
+    rng = np.random.default_rng(0)
+    chains = rng.standard_normal((64, 200, 1))
+    assert diagnose(chains)[0].rhat < 1.01
+    chains[:4] = 6.0 + 0.01 * rng.standard_normal((4, 200, 1))
+    assert diagnose(chains)[0].rhat > 1.05
+    chains[:] = 1.0
+    assert diagnose(chains)[0].ess_bulk == 0.0
+
+
+def test_converges_on_the_truth_and_the_curvature(ward):
+    model, _, fit, post = ward
+    assert post.status == "converged", post.message
+    assert post.labels == ("kd[value]", "ks[value]", "alpha")
+    intervals = post.intervals(0.999)
+    for label, name in (("kd[value]", "kd"), ("ks[value]", "ks"), ("alpha", "alpha")):
+        true = float(np.asarray(model.values[name]).reshape(-1)[0])
+        assert intervals[label]["lower"] < true < intervals[label]["upper"]
+        # Well-specified, many samples: the posterior is its own Laplace approximation.
+        u = float(fit.parameters[name].standard_uncertainty.reshape(-1)[0])
+        assert intervals[label]["sd"] == pytest.approx(u, rel=0.12)
+
+
+def test_same_seed_same_draws(ward):
+    _, table, fit, post = ward
+    again = fitter.posterior(table, fit, **QUICK)
+    if len(again.history) == len(post.history):  # the number of rounds depends on the clock only at the end
+        np.testing.assert_array_equal(again.draws, post.draws)
+    other = fitter.posterior(table, fit, **{**QUICK, "seed": 6})
+    assert not np.array_equal(other.draws[:10], post.draws[:10])
+
+
+def test_round_trip(ward, tmp_path):
+    _, table, _, post = ward
+    post.save(tmp_path / "posterior.json")
+    read = load_posterior(tmp_path / "posterior.json")
+    np.testing.assert_allclose(read.draws, post.draws)
+    assert read.to_dict() == post.to_dict()
+    for ours, theirs in zip(read.predict(table.wi[:5], table.wo[:5]), post.predict(table.wi[:5], table.wo[:5]), strict=True):
+        np.testing.assert_allclose(ours, theirs)
+
+
+def test_predictive_band_covers_new_measurements(ward):
+    model, _, _, post = ward
+    new = scattered(model, seed=77, n=1500, noise=0.05)
+    lower, upper = post.predict(new.wi, new.wo, level=0.9)
+    inside = ((new.value >= lower) & (new.value <= upper)).mean()
+    assert inside == pytest.approx(0.9, abs=0.04)
+
+
+def test_inferred_noise_is_found():
+    model = models.create("oren_nayar", **TRUTHS["oren_nayar"])
+    table = scattered(model, seed=3, n=600, noise=0.04)
+    post = fitter.posterior(table, fitter.fit(table, "oren_nayar"), **QUICK)
+    for channel in "RGB":
+        k = post.labels.index(f"relative_noise[{channel}]")
+        assert post.draws[:, k].mean() == pytest.approx(0.04, rel=0.15)
+    assert any("misfit counts as independent noise" in warning for warning in post.warnings)
+
+
+def test_albedo_near_zero_stays_positive_and_finite():
+    model = models.create("ward", kd=0.0, ks=0.3, alpha=0.2)
+    table = scattered(model, seed=4, n=200, noise=0.05)
+    post = fitter.posterior(table, fitter.fit(table, "ward"), **QUICK)
+    assert np.isfinite(post.draws).all()
+    assert (post.draws >= 0).all()
+
+
+def test_per_channel_parameters_have_their_own_labels():
+    model = models.create("lafortune", **TRUTHS["lafortune"])
+    table = scattered(model, seed=5, n=300, sigma=True)
+    post = fitter.posterior(table, fitter.fit(table, "lafortune"), **QUICK)
+    assert {"n[R]", "n[G]", "n[B]", "kd[R]"} <= set(post.labels)
+    assert post.draws.shape == (post.spec.keep, len(post.labels))
+
+
+def test_a_budget_too_small_says_so(ward):
+    _, table, fit, _ = ward
+    post = fitter.posterior(table, fit, budget_seconds=1e-3, ess=100_000)
+    assert post.status == "not_converged"
+    assert "give it more time" in post.message
+    assert np.isfinite(post.draws).all()
+
+
+def test_big_tables_are_conditioned_on_a_part_and_say_so(ward):
+    _, table, fit, _ = ward
+    post = fitter.posterior(table, fit, **{**QUICK, "max_samples": 100})
+    assert post.table["used"] == 100
+    assert any("100 of 300 samples" in warning for warning in post.warnings)
+
+
+def test_requests_that_make_no_sense(ward):
+    _, table, fit, _ = ward
+    bare = fitter.Table(wi=table.wi, wo=table.wo, value=table.value)
+    with pytest.raises(SpecError, match="states none"):
+        fitter.posterior(bare, fit, noise="table")
+    with pytest.raises(SpecError):
+        fitter.posterior(table, fit, ensembles=1)
+    with pytest.raises(SpecError, match="not both"):
+        fitter.posterior(table, fit, PosteriorSpec(), seed=1)
+
+
+def test_progress_can_stop_it(ward):
+    from fitter.progress import Cancelled
+
+    _, table, fit, _ = ward
+
+    def stop(share, what):
+        if "sampling" in what:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        fitter.posterior(table, fit, progress=stop)
