@@ -114,9 +114,10 @@ def test_predictive_band_covers_new_measurements(ward):
 
 
 def test_inferred_noise_is_found():
-    model = models.create("oren_nayar", **TRUTHS["oren_nayar"])
+    # A glossy table: where values hardly vary, a relative noise and a floor are the same thing.
+    model = models.create("ward", **TRUTHS["ward"])
     table = scattered(model, seed=3, n=600, noise=0.04)
-    post = fitter.posterior(table, fitter.fit(table, "oren_nayar"), **QUICK)
+    post = fitter.posterior(table, fitter.fit(table, "ward"), **QUICK)
     for channel in "RGB":
         k = post.labels.index(f"relative_noise[{channel}]")
         assert post.draws[:, k].mean() == pytest.approx(0.04, rel=0.15)
