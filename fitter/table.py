@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import TableError
+from fitter.grid import Grid
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -21,90 +22,12 @@ Symmetry = Literal["isotropic", "anisotropic"]
 Quantity = Literal["brdf", "ccbrdf", "reflectance_factor"]
 QUANTITIES: tuple[Quantity, ...] = ("brdf", "ccbrdf", "reflectance_factor")
 
-#: Coordinate systems a grid may be regular in, with their axes in storage order (the last runs fastest).
-GRID_AXES: Mapping[str, tuple[str, ...]] = {
-    "half_difference": ("theta_h", "theta_d", "phi_d"),
-    "spherical_isotropic": ("theta_i", "theta_o", "dphi"),
-    "spherical": ("theta_i", "phi_i", "theta_o", "phi_o"),
-}
-
-
 @dataclass(frozen=True)
 class Channel:
     """One measured channel: its name and, where it is a line or a narrow band, its wavelength in nm."""
 
     name: str
     wavelength_nm: float | None = None
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A product grid: ``axes`` maps each axis of ``GRID_AXES[system]``, in order, to increasing radians.
-
-    In ``spherical_isotropic`` the incident azimuth is 0 and ``dphi`` is phi_o - phi_i, so that the
-    specular side is dphi = pi. ``periodic`` names azimuth axes that close on themselves and their period.
-    """
-
-    system: str
-    axes: Mapping[str, FloatArray]
-    periodic: Mapping[str, float] = field(default_factory=dict[str, float])
-
-    def __post_init__(self) -> None:
-        if tuple(self.axes) != GRID_AXES.get(self.system):
-            raise TableError(
-                f"a {self.system!r} grid can't have the axes {tuple(self.axes)}", code="grid-axes",
-                remedy=f"use one of {dict(GRID_AXES)}",
-            )  # fmt: skip
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return tuple(len(axis) for axis in self.axes.values())
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.shape))
-
-    def coordinates(self, index: NDArray[np.intp] | None = None) -> tuple[FloatArray, ...]:
-        """Coordinates of the cells ``index`` (default all, in storage order), one (n,) array per axis."""
-        if index is None:
-            mesh = np.meshgrid(*self.axes.values(), indexing="ij")
-            return tuple(axis.reshape(-1) for axis in mesh)
-        where = np.unravel_index(index, self.shape)
-        return tuple(axis[i] for axis, i in zip(self.axes.values(), where, strict=True))
-
-    def directions(self, index: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray]:
-        """``(wi, wo)``, each (n, 3), of the cells ``index`` (default all, in storage order)."""
-        c = self.coordinates(index)
-        if self.system == "half_difference":
-            return directions.vectors_from_half_difference(c[0], c[1], c[2])
-        if self.system == "spherical_isotropic":
-            return directions.vector_from_spherical(c[0], 0.0), directions.vector_from_spherical(c[1], c[2])
-        return directions.vector_from_spherical(c[0], c[1]), directions.vector_from_spherical(c[2], c[3])
-
-    def locate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, ...]:
-        """Grid coordinates of direction pairs (n, 3): the inverse of :meth:`directions`, one (n,) per axis.
-
-        Azimuths are brought into one period that starts at the axis' first node; ``dphi`` and ``phi_d``
-        are folded where the axis covers only half a turn (isotropic surfaces are mirror-symmetric, and
-        phi_d + pi is the reciprocal pair).
-        """
-        if self.system == "half_difference":
-            theta_h, _, theta_d, phi_d = directions.half_difference_from_vectors(wi, wo)
-            return theta_h, theta_d, self._wrap("phi_d", phi_d)
-        theta_i, phi_i = directions.spherical_from_vector(wi)
-        theta_o, phi_o = directions.spherical_from_vector(wo)
-        if self.system == "spherical_isotropic":
-            return theta_i, theta_o, self._wrap("dphi", phi_o - phi_i)
-        return theta_i, self._wrap("phi_i", phi_i), theta_o, self._wrap("phi_o", phi_o)
-
-    def _wrap(self, name: str, angle: FloatArray) -> FloatArray:
-        axis = self.axes[name]
-        period = self.periodic.get(name, 2 * np.pi)
-        wrapped = axis[0] + np.mod(angle - axis[0], period)
-        if name == "dphi" and name not in self.periodic:
-            folded = np.abs(np.mod(angle + np.pi, 2 * np.pi) - np.pi)
-            return np.where((wrapped > axis[-1]) & (folded >= axis[0]), folded, wrapped)
-        return wrapped
 
 
 @dataclass(frozen=True)
@@ -204,7 +127,9 @@ class Table:
         self.value = _columns("value", value)
         n = len(self.value)
         if n == 0:
-            raise self._error("the table holds no samples", "table-empty", remedy="check that the file is whole")
+            raise self._error(
+                "the table holds no samples", "table-empty", remedy="check that the file is whole"
+            )
         self._wi, self._wo = self._check_directions(wi, wo, n)
         self.sigma = None if sigma is None else _columns("sigma", sigma)
         if self.sigma is not None and self.sigma.shape != self.value.shape:
@@ -247,7 +172,9 @@ class Table:
         for name, given in (("wi", wi), ("wo", wo)):
             w = np.array(given, np.float64, order="C")
             if w.shape != (n, 3):
-                raise self._error(f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name)
+                raise self._error(
+                    f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name
+                )
             off = np.abs(np.einsum("ij,ij->i", w, w) - 1.0) > 1e-6
             off &= np.isfinite(w).all(axis=1)
             if off.any():
@@ -265,18 +192,18 @@ class Table:
         if mask is not None:
             given = np.asarray(mask, bool)
             if given.shape != (n,):
-                raise self._error(f"mask has shape {given.shape}, expected ({n},)", "table-shape", parameter="mask")
+                raise self._error(
+                    f"mask has shape {given.shape}, expected ({n},)", "table-shape", parameter="mask"
+                )
             reasons["marked unusable by its source"] = ~given
-        reasons["missing or not finite"] = ~np.isfinite(self.value).all(axis=1)
+        reasons["missing or not finite"] = ~_every(np.isfinite(self.value))
         if negatives == "mask":
-            reasons["negative"] = (self.value < 0).any(axis=1)
+            reasons["negative"] = ~_every(~(self.value < 0))
         if self.sigma is not None:
             stated = (self.sigma > 0) & np.isfinite(self.sigma)
-            reasons["sigma missing or not positive"] = ~stated.all(axis=1)
+            reasons["sigma missing or not positive"] = ~_every(stated)
         if self.grid is None:
-            reasons["direction not finite"] = ~(
-                np.isfinite(self.wi).all(axis=1) & np.isfinite(self.wo).all(axis=1)
-            )
+            reasons["direction not finite"] = ~(_every(np.isfinite(self.wi)) & _every(np.isfinite(self.wo)))
         reasons["below the horizon"] = ~self._above_horizon()
         if self.grid is None and duplicates == "mask":
             reasons["repeated geometry"] = self.repeats
@@ -402,6 +329,11 @@ class Table:
         return interpolant(self).evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
 
 
+def _every(flags: NDArray[np.bool_]) -> BoolArray:
+    """(N,) whether all of each row of (N, C) holds."""
+    return np.asarray(flags.all(axis=1))
+
+
 def _columns(name: str, given: ArrayLike) -> FloatArray:
     array = np.asarray(given, np.float64)
     if array.ndim == 1:
@@ -420,7 +352,7 @@ def _channels(given: Sequence[str | Channel] | None, count: int) -> tuple[Channe
     channels = tuple(c if isinstance(c, Channel) else Channel(c) for c in given)
     if len(channels) != count or len({c.name for c in channels}) != count:
         raise TableError(
-            f"{len(channels)} channel names ({', '.join(c.name for c in channels)}) for {count} value columns",
+            f"{len(channels)} channels ({', '.join(c.name for c in channels)}) for {count} value columns",
             code="table-channels", parameter="channels", remedy="give one distinct name per column",
         )  # fmt: skip
     return channels

@@ -27,7 +27,9 @@ NODES = (36, 14)
 BEAM = 40
 
 
-def candidates(layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArray, count: int) -> FloatArray | None:
+def candidates(
+    layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArray, count: int
+) -> FloatArray | None:
     """(count, T) promising starts, best first; None where the lobes are not interchangeable."""
     own = interchangeable(layout)
     if own is None or len(own[0]) != len(NODES):
@@ -49,7 +51,8 @@ def candidates(layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArr
     for size in range(2, layout.spec.lobes + 1):
         if size > 2:
             kept = sets[_apart(gain, sets - first, place, BEAM)]
-            sets = np.concatenate([np.repeat(kept, len(lobes), axis=0), np.tile(lobes, len(kept))[:, None]], axis=1)
+            third = np.tile(lobes, len(kept))[:, None]
+            sets = np.concatenate([np.repeat(kept, len(lobes), axis=0), third], axis=1)
             sets = sets[(sets[:, :-1] != sets[:, -1:]).all(axis=1)]
             gain = _gain(grams, sides, sets, first)
     chosen = sets[_apart(gain, sets - first, place, count)] - first

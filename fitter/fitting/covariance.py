@@ -47,7 +47,7 @@ def natural(
 
     ``likelihood`` : whether the metric is the likelihood; the sandwich is used where it is not.
     """
-    t, c = len(layout.free), len(channels)
+    c = len(channels)
     family, spec = layout.family, layout.spec
     table = {q.name: q for q in family.parameter_table(spec)}
     linear = [q.name for q in table.values() if q.linear]
@@ -70,7 +70,8 @@ def natural(
         low, high = (q.lower, q.upper) if k is None else _own_bounds(layout, k)
         span = (high - low) if np.isfinite(high) else max(abs(low), 1.0)
         near = 1e-6 * span
-        at_bound.append("lower" if value <= low + min(near, 1e-9) else "upper" if value >= high - near else None)
+        below, above = value <= low + min(near, 1e-9), value >= high - near
+        at_bound.append("lower" if below else "upper" if above else None)
     # A parameter is open if any of the directions that the data leave open moves it.
     moved = np.abs(jacobian @ open_directions)
     size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300

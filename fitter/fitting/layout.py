@@ -79,7 +79,7 @@ def layout(fit: FitSpec) -> Layout:
         lower, upper = fit.bounds.get(p.name, (p.lower, p.upper))
         if not p.lower <= lower < upper <= p.upper:
             raise SpecError(
-                f"bounds {lower:g} to {upper:g} of {p.name} don't lie in its range {p.lower:g} to {p.upper:g}",
+                f"bounds {lower:g} to {upper:g} of {p.name} don't lie in {p.lower:g} to {p.upper:g}",
                 code="bad-bounds", parameter=p.name, remedy="give lower < upper inside that range",
             )  # fmt: skip
         log = p.search == "log"
@@ -95,7 +95,8 @@ def layout(fit: FitSpec) -> Layout:
 def interchangeable(layout: Layout) -> list[list[int]] | None:
     """Positions in u of each lobe's own parameters, or None unless there are several lobes all alike."""
     count = layout.spec.lobes
-    own = [[k for k, name in enumerate(layout.free) if name.endswith(f"_{lobe + 1}")] for lobe in range(count)]
+    suffixes = [f"_{lobe + 1}" for lobe in range(count)]
+    own = [[k for k, name in enumerate(layout.free) if name.endswith(suffix)] for suffix in suffixes]
     kinds = {
         tuple((layout.free[k].rpartition("_")[0], layout.lower[k], layout.upper[k]) for k in ks) for ks in own
     }

@@ -38,7 +38,9 @@ class Residual(NamedTuple):
     slope: Array
 
 
-def base_weights(metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray) -> FloatArray:
+def base_weights(
+    metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray
+) -> FloatArray:
     """(n, C) w s of each value: all that does not depend on the model."""
     if metric == "measurement":
         if sigma is None:

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import nlopt
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 
 from fitter.errors import FitError
@@ -28,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 
 def search(
-    layout: Layout, pair: Array, y: Array, weight: Array, starts: int | None, seed: int
+    layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArray, starts: int | None, seed: int
 ) -> tuple[list[Basin], dict[str, Any]]:
     """Multi-level single linkage (DIRECT-L for one parameter) on the reduced problem, then SBPLX."""
     t = len(layout.free)
@@ -67,7 +66,9 @@ def search(
     return [Basin(u, b, best)], {"candidates": evaluations, "starts": 1, "agree": 1, "second_basin": None}
 
 
-def polish(layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]) -> Polished:
+def polish(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+) -> Polished:
     """SLSQP on the full objective and its exact gradient, in units of each parameter's curvature."""
     lower, upper = bounds(layout, len(p))
     p = np.clip(p, lower, upper)

@@ -51,7 +51,11 @@ class Usable:
         return self.pair.shape[1]
 
     def part(
-        self, channels: Sequence[int], rows: slice | NDArray[np.intp], size: int, scale: FloatArray | None = None
+        self,
+        channels: Sequence[int],
+        rows: slice | NDArray[np.intp],
+        size: int,
+        scale: FloatArray | None = None,
     ) -> Block:
         """The samples ``rows`` of the channels (positions among the selected), padded to ``size``.
 
@@ -120,10 +124,10 @@ def usable(table: Table, metric: Metric, select: Select) -> Usable:
             left_out[f"{name} beyond {limit:g} deg"] = int((keep & ~inside).sum())
             keep &= inside
     whole = len(channels) == len(names)
-    value = table.value[index] if whole else table.value[np.ix_(index, channels)]
+    value = table.value[index] if whole else table.value[index][:, list(channels)]
     sigma = None
     if table.sigma is not None:
-        sigma = table.sigma[index] if whole else table.sigma[np.ix_(index, channels)]
+        sigma = table.sigma[index] if whole else table.sigma[index][:, list(channels)]
     floor = np.array([_scale(column) for column in value.T]) * metrics.LOG_FLOOR
     if metric == "log":
         defined = (value > -floor).all(axis=1)

@@ -7,7 +7,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
@@ -40,7 +39,7 @@ def default_counts(dimensions: int) -> tuple[int, int]:
 
 
 def search(
-    layout: Layout, pair: Array, y: Array, weight: Array, starts: int | None, seed: int
+    layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArray, starts: int | None, seed: int
 ) -> tuple[list[Basin], dict[str, Any]]:
     """Distinct basins, best first, and the evidence: how many starts agree and how far the next one is."""
     t = len(layout.free)
@@ -53,7 +52,7 @@ def search(
         return [only], {"candidates": 1, "starts": 1, "agree": 1, "second_basin": None}
     low, high = layout.box
     count = max(count, 4 * solves)
-    cube = qmc.Sobol(t, seed=np.random.default_rng(seed)).random(1 << (count - 1).bit_length())
+    cube = qmc.Sobol(t, rng=np.random.default_rng(seed)).random(1 << (count - 1).bit_length())
     candidates = low + (high - low) * cube
     stride = max(1, pair.shape[1] // SCREEN_SAMPLES)
     objective = np.asarray(

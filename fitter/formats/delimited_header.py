@@ -14,7 +14,8 @@ from fitter.formats.columns import VOCABULARY, Column, band_nm, parse_column
 from fitter.formats.read_options import CONVENTIONS, ReadOptions
 from fitter.formats.source import Source
 from fitter.formats.text import Rows, is_number, split
-from fitter.table import GRID_AXES, QUANTITIES, Channel
+from fitter.grid import GRID_AXES
+from fitter.table import QUANTITIES, Channel
 
 _STATEMENT = re.compile(r"#+\s*([A-Za-z][\w ]*?)\s*:\s*(.*)")
 _CHOICES: Mapping[str, Sequence[str]] = {

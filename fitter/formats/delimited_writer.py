@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import TableError
-from fitter.table import GRID_AXES, Table
+from fitter.grid import GRID_AXES
+from fitter.table import Table
 
 _PLAIN = re.compile(r"[A-Za-z0-9.]+")
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.formats.source import Source
-from fitter.table import GRID_AXES, Grid
+from fitter.grid import GRID_AXES, Grid
 
 FloatArray = NDArray[np.float64]
 

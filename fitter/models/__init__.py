@@ -55,7 +55,9 @@ def create(
     spec = model_spec(model)
     table = _known(spec, values)
     arrays = {p.name: np.asarray(values.get(p.name, p.default), np.float64) for p in table}
-    lengths = {array.size for array in arrays.values() if array.ndim} | ({len(channels)} if channels else set())
+    lengths = {array.size for array in arrays.values() if array.ndim}
+    if channels is not None:
+        lengths.add(len(channels))
     if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
         raise SpecError(
             f"parameters of different lengths ({sorted(lengths)})", code="bad-parameter-shape",

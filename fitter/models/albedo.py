@@ -2,9 +2,9 @@
 
 Panels shrink geometrically towards the polar angle of wi and towards its azimuth and the opposite one, so
 that mirror and retro lobes down to a width of about 1e-4 rad see as many nodes as broad ones. Each panel
-carries an 8-point Gauss-Legendre rule. Against independent quadrature: 1e-6 or better for smooth integrands,
-up to 2e-4 at grazing for V-groove masking, whose kinks cut across panels. One half of the hemisphere is integrated:
-isotropic models are symmetric about the plane of incidence.
+carries an 8-point Gauss-Legendre rule. Against independent quadrature: 1e-6 or better where smooth, up to
+2e-4 at grazing for V-groove masking, whose kinks cut across panels. One half of the hemisphere is
+integrated: isotropic models are symmetric about the plane of incidence.
 """
 
 from __future__ import annotations

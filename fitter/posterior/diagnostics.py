@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import emcee
 import numpy as np
-from arviz_stats.base import array_stats
+from arviz_stats.base.array import array_stats
 from numpy.typing import NDArray
 
 from fitter.posterior.result import Diagnostic
@@ -24,9 +26,9 @@ def diagnose(chains: FloatArray) -> list[Diagnostic]:
         if np.ptp(x) == 0:
             found.append(Diagnostic(float("inf"), 0.0, 0.0, float("inf")))
             continue
-        bulk = array_stats.ess(x, chain_axis=0, draw_axis=1, method="bulk")
-        tail = array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
-        rhat = array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")
+        bulk: Any = array_stats.ess(x, chain_axis=0, draw_axis=1, method="bulk")
+        tail: Any = array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
+        rhat: Any = array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")
         # The average of the walkers' autocorrelation functions, not that of their mean (emcee issue 209).
         moved = x[np.ptp(x, axis=1) > 0]
         tau = emcee.autocorr.integrated_time(moved.T[:, :, None], tol=0, quiet=True)[0]

@@ -27,12 +27,13 @@ class LaplaceMove(emcee.moves.MHMove):
         normal = rng.standard_normal(x.shape)
         chi2 = rng.chisquare(FREEDOM, size=(len(x), 1))
         z = normal * np.sqrt(FREEDOM / chi2)
-        return self.mode + z @ self.root.T, self._log_density(x) - self._log_density_of_z(z)
+        log_ratio = self._log_density(x) - self._log_density_of_z(z)
+        return self.mode + z @ self.root.T, log_ratio
 
     def _log_density(self, x: FloatArray) -> FloatArray:
         return self._log_density_of_z(np.linalg.solve(self.root, (x - self.mode).T).T)
 
-    def _log_density_of_z(self, z: FloatArray) -> FloatArray:
+    def _log_density_of_z(self, z: NDArray[np.floating]) -> FloatArray:
         return -0.5 * (FREEDOM + z.shape[1]) * np.log1p(np.square(z).sum(axis=1) / FREEDOM)
 
 

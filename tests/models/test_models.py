@@ -72,10 +72,7 @@ def test_pdf_integrates_to_one_less_what_is_lost(name, theta):
     mu, w = np.polynomial.legendre.leggauss(1200)
     mu, w = 0.5 * (mu + 1), 0.5 * w
     phi = (np.arange(2400) + 0.5) * 2 * np.pi / 2400
-    s = np.sqrt(1 - mu * mu)
-    grid = np.stack(
-        [s[:, None] * np.cos(phi), s[:, None] * np.sin(phi), np.broadcast_to(mu[:, None], (1200, 2400))], axis=-1
-    )
+    grid = _product(mu, phi)
     total = float((np.asarray(model.pdf(wi, grid)).sum(axis=1) * w).sum() * 2 * np.pi / 2400)
     assert total == pytest.approx(1.0 - lost, abs=4 * np.sqrt(max(lost, 1e-4) / 200_000) + 2e-3)
 
@@ -90,16 +87,12 @@ def test_samples_follow_the_pdf(name):
     bins_mu, bins_phi, fine = 8, 16, 60
     wo = samples.wo[samples.valid]
     row = np.minimum((wo[:, 2] * bins_mu).astype(int), bins_mu - 1)
-    col = np.minimum(((np.arctan2(wo[:, 1], wo[:, 0]) / (2 * np.pi) % 1) * bins_phi).astype(int), bins_phi - 1)
+    turn = np.arctan2(wo[:, 1], wo[:, 0]) / (2 * np.pi) % 1
+    col = np.minimum((turn * bins_phi).astype(int), bins_phi - 1)
     counts = np.bincount(row * bins_phi + col, minlength=bins_mu * bins_phi)
     mu = (np.arange(bins_mu * fine) + 0.5) / (bins_mu * fine)
     phi = (np.arange(bins_phi * fine) + 0.5) / (bins_phi * fine) * 2 * np.pi
-    s = np.sqrt(1 - mu * mu)
-    grid = np.stack(
-        [s[:, None] * np.cos(phi), s[:, None] * np.sin(phi), np.broadcast_to(mu[:, None], (len(mu), len(phi)))],
-        axis=-1,
-    )
-    density = np.asarray(model.pdf(wi, grid)).reshape(bins_mu, fine, bins_phi, fine)
+    density = np.asarray(model.pdf(wi, _product(mu, phi))).reshape(bins_mu, fine, bins_phi, fine)
     expected = n * density.mean(axis=(1, 3)).reshape(-1) * (2 * np.pi / (bins_mu * bins_phi))
     # Midpoint cells of a narrow lobe carry a relative error of their own: allow 1 %.
     keep = expected > 10
@@ -133,7 +126,8 @@ def test_float32_stays_float32(name):
     model = draw(name, 9)
     wi = jnp.asarray(direction(0.7, 0.0), jnp.float32)
     wo = jnp.asarray(_hemisphere(np.random.default_rng(0), 64), jnp.float32)
-    single = eqx.tree_at(lambda m: m.values, model, {k: v.astype(jnp.float32) for k, v in model.values.items()})
+    values = {k: v.astype(jnp.float32) for k, v in model.values.items()}
+    single = eqx.tree_at(lambda m: m.values, model, values)
     for kernel in (_evaluate, _pdf):
         # The traced program may name constants in f64; what is compiled may not.
         assert "f64" not in kernel.lower(single, wi, wo).compile().compiled.as_text()
@@ -190,6 +184,13 @@ def test_parameter_table_documents_itself():
             assert document["description"]
             assert document["unit"]
             assert document["prior"]
+
+
+def _product(mu: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """(len(mu), len(phi), 3) directions of all pairs."""
+    s = np.sqrt(1 - mu * mu)[:, None]
+    z = np.broadcast_to(mu[:, None], (len(mu), len(phi)))
+    return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
 
 
 def _hemisphere(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -33,7 +33,8 @@ def test_directional_albedo(shared: Path, prefix: str):
         a, mu = float(row["parameter"]), float(row["mu"])
         values = {"rho": 1.0, "sigma": a} if prefix == "QON" else {"ks": 1.0, "alpha": a}
         found = float(models.create(name, **values).albedo([np.sqrt(1 - mu * mu), 0.0, mu])[0])
-        assert found == pytest.approx(float(row["albedo"]), abs=tolerance + float(row["refinement_difference"]))
+        allowed = tolerance + float(row["refinement_difference"])
+        assert found == pytest.approx(float(row["albedo"]), abs=allowed)
 
 
 def test_closed_forms_at_normal_incidence():
@@ -42,7 +43,8 @@ def test_closed_forms_at_normal_incidence():
     assert float(ggx.albedo(normal)[0]) == pytest.approx(1 - np.log(2), abs=1e-7)
     for a in (0.1, 0.5, 1.0):
         bounded = models.create("ward:bounded:no_diffuse", ks=1.0, alpha=a)
-        assert float(bounded.albedo(normal)[0]) == pytest.approx(1 - a * a * (1 - np.exp(-1 / a**2)), abs=1e-7)
+        expected = 1 - a * a * (1 - np.exp(-1 / a**2))
+        assert float(bounded.albedo(normal)[0]) == pytest.approx(expected, abs=1e-7)
     lobe = models.create("lafortune:no_diffuse", ks=1.0, n=20.0, gamma=np.pi / 4)
     assert float(lobe.albedo(normal)[0]) == pytest.approx(1.0, abs=1e-7)
 

@@ -1,0 +1,187 @@
+"""The write-up of a fit: estimates, metrics, a verdict in words, and what it cost."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import models
+from fitter._version import __version__
+from fitter.fitting.covariance import Natural
+from fitter.fitting.polish import Polished
+from fitter.fitting.result import Estimate, FitResult
+from fitter.fitting.samples import Usable
+from fitter.spec import FitSpec, Metric
+from fitter.table import Table
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass
+class Clock:
+    """Seconds by phase, monotonic."""
+
+    phases: dict[str, float]
+    last: float
+
+    def lap(self, phase: str) -> None:
+        now = time.perf_counter()
+        self.phases[phase] = self.phases.get(phase, 0.0) + now - self.last
+        self.last = now
+
+
+@dataclass(frozen=True)
+class Group:
+    """The solution of one group of channels that share their nonlinear parameters."""
+
+    polished: Polished
+    estimates: Natural
+    evidence: dict[str, Any]
+    subset: int
+    passes: int
+
+
+def write_up(
+    table: Table, request: FitSpec, metric: Metric, data: Usable, groups: list[list[int]],
+    solved: list[Group], reduction: dict[str, Any], clock: Clock,
+) -> FitResult:  # fmt: skip
+    """The FitResult of the solved groups; ``reduction`` says how the table was made smaller."""
+    names = tuple(table.channels[c].name for c in data.channels)
+    shared = len(groups) == 1 and len(names) > 1
+    table_rows = models.parameter_table(request.model)
+    slots: dict[tuple[str, int | None], tuple[int, int]] = {}
+    for g, group in enumerate(solved):
+        for k, label in enumerate(group.estimates.labels):
+            slots[label] = (g, k)
+
+    parameters: dict[str, Estimate] = {}
+    labels: list[str] = []
+    rows: list[tuple[int, int]] = []
+    for p in table_rows:
+        if p.name in request.fixed:
+            value = np.asarray(request.fixed[p.name])
+            parameters[p.name] = Estimate(value, np.asarray(np.nan), p.unit, p.description, (None,))
+            continue
+        common = shared and not p.linear
+        keys = [(p.name, None if common else c) for c in (data.channels[:1] if common else data.channels)]
+        found = [slots[key] for key in keys]
+        value = np.array([solved[g].estimates.values[k] for g, k in found])
+        u = np.sqrt(np.array([solved[g].estimates.covariance[k, k] for g, k in found]))
+        ends = tuple(solved[g].estimates.at_bound[k] for g, k in found)
+        scalar = len(keys) == 1 and (not p.linear) and (shared or len(names) == 1)
+        parameters[p.name] = Estimate(
+            value[0] if scalar else value, u[0] if scalar else u, p.unit, p.description, ends
+        )
+        labels += [p.name if scalar or c is None else f"{p.name}[{table.channels[c].name}]" for _, c in keys]
+        rows += found
+    covariance = np.zeros((len(rows), len(rows)))
+    for i, (g, k) in enumerate(rows):
+        for j, (other, m) in enumerate(rows):
+            if g == other:
+                covariance[i, j] = solved[g].estimates.covariance[k, m]
+
+    kind = models.family_of(request.model)
+    values = {name: jnp.asarray(e.value) for name, e in parameters.items()}
+    model = kind(spec=request.model, channels=names, values=values)
+    status, message, warnings = _verdict(request, names, groups, solved, data, table)
+    used = {"fitted": len(data), "subset": max(s.subset for s in solved), "left_out": data.left_out}
+    clock.lap("write up")
+    return FitResult(
+        spec=request,
+        model=model,
+        parameters=parameters,
+        labels=tuple(labels),
+        covariance=covariance,
+        uncertainty="curvature" if metric == "measurement" else "sandwich",
+        metrics=_metrics(metric, data, groups, solved),
+        status=status,
+        message=message,
+        evidence={
+            "solver": request.solver,
+            "groups": [
+                {"channels": [names[c] for c in group], **s.evidence}
+                for group, s in zip(groups, solved, strict=True)
+            ],
+        },
+        cost={
+            "seconds": float(sum(clock.phases.values())),
+            "phases": {name: float(s) for name, s in clock.phases.items()},
+            "passes": sum(s.passes for s in solved),
+            "samples": len(data),
+        },
+        table={
+            "name": table.metadata.name, "hash": table.hash, "samples": len(table),
+            "usable": int(table.mask.sum()), "metric": metric, "domain": table.domain.to_dict(),
+            **used, **reduction,
+        },
+        warnings=warnings,
+        versions={"brdf-fitter": __version__}
+        | {name: importlib.metadata.version(name) for name in ("numpy", "jax", "optimistix", "nlopt")},
+    )  # fmt: skip
+
+
+def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list[Group]) -> dict[str, float]:
+    values = data.value.size
+    objective = sum(s.polished.normal.objective for s in solved)
+    squared = sum(s.polished.normal.squared_error for s in solved)
+    spread = float(np.square(data.value - data.value.mean(axis=0)).sum())
+    free = sum(len(s.polished.p) for s in solved)
+    found = {
+        "objective": objective / values,
+        "rmse": float(np.sqrt(squared / values)),
+        "relative_rmse": float(np.sqrt(sum(s.polished.normal.relative_error for s in solved) / values)),
+        "r2": 1.0 - squared / spread if spread > 0 else float("nan"),
+    }
+    if metric == "measurement" and values > free:
+        # Birge ratio: 1 where the stated noise explains the residuals.
+        found["chi2_per_dof"] = objective / (values - free)
+    return found
+
+
+def _verdict(
+    request: FitSpec, names: Sequence[str], groups: list[list[int]], solved: list[Group], data: Usable,
+    table: Table,
+) -> tuple[str, str, tuple[str, ...]]:
+    warnings: list[str] = []
+    open_labels: list[str] = []
+    for s in solved:
+        for k, (name, c) in enumerate(s.estimates.labels):
+            label = name if c is None or len(names) == 1 else f"{name}[{table.channels[c].name}]"
+            if k in s.estimates.unidentified and s.estimates.at_bound[k] is None:
+                open_labels.append(label)
+            elif s.estimates.at_bound[k] is not None:
+                warnings.append(
+                    f"{label} is on its {s.estimates.at_bound[k]} bound: it has no symmetric uncertainty"
+                )
+        starts = s.evidence["starts"]
+        if starts > 1 and s.evidence["agree"] == 1:
+            warnings.append(f"only 1 of {starts} starts reached the best optimum: try more starts")
+    for why, count in data.left_out.items():
+        warnings.append(f"{count} usable samples left out: {why}")
+    if table.domain.incidences == 1:
+        warnings.append("one incidence only: the model's dependence on it is an extrapolation")
+    stuck = [k for k, s in enumerate(solved) if not s.polished.converged]
+    if stuck:
+        where = ", ".join(names[c] for k in stuck for c in groups[k])
+        return (
+            "not_converged",
+            f"the last pass still moved ({where}): the parameters are not at the optimum",
+            tuple(warnings),
+        )
+    if open_labels:
+        return (
+            "not_identified",
+            f"this table does not determine {', '.join(open_labels)}: other values fit it as well",
+            tuple(warnings),
+        )
+    passes = sum(s.passes for s in solved)
+    return "converged", f"converged in {passes} passes over {len(data)} samples", tuple(warnings)
+
+

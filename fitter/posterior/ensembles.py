@@ -1,0 +1,145 @@
+"""Ensembles of one group of channels: where they start, how their proposals are tuned, how they run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import models
+from fitter.errors import FitError
+from fitter.fitting.layout import Layout
+from fitter.fitting.result import FitResult
+from fitter.fitting.samples import Usable
+from fitter.posterior.density import Density
+from fitter.posterior.moves import mixture
+from fitter.spec import PosteriorSpec
+
+FloatArray = NDArray[np.float64]
+#: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
+LARGEST_NOISE = 3.0
+
+
+@dataclass
+class Ensembles:
+    """The density and labels of a group, and its independent emcee ensembles as they grow."""
+
+    density: Density
+    labels: list[str]
+    logs: NDArray[np.bool_]
+    starts: list[FloatArray]
+    seeds: np.random.SeedSequence
+    samplers: list[emcee.EnsembleSampler]
+
+    def renew(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """New samplers with proposals of this mean and covariance, each with its own random state."""
+        self.samplers = []
+        for seed in self.seeds.spawn(len(self.starts)):
+            sampler = emcee.EnsembleSampler(
+                len(self.starts[0]), self.density.size, self.density, vectorize=True,
+                moves=mixture(mean, covariance),
+            )  # fmt: skip
+            state = np.random.RandomState(seed.generate_state(8))
+            sampler.random_state = state.get_state()
+            self.samplers.append(sampler)
+
+    def advance(self, steps: int) -> None:
+        """Every ensemble by ``steps``; the compiled density releases the GIL, so threads help."""
+
+        def one(k: int) -> FloatArray:
+            state = self.samplers[k].run_mcmc(self.starts[k], steps, progress=False)
+            assert state is not None
+            return np.asarray(state.coords)
+
+        with ThreadPoolExecutor(len(self.samplers)) as pool:
+            self.starts = list(pool.map(one, range(len(self.samplers))))
+
+    def tune(self, steps: int) -> None:
+        """Run, then fit the proposals to where the walkers are: a posterior is seldom its own Laplace."""
+        self.advance(steps)
+        seen = np.concatenate([_chain(s)[steps // 2 :].reshape(-1, self.density.size) for s in self.samplers])
+        covariance = np.cov(seen.T).reshape(self.density.size, -1)
+        covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
+        self.renew(seen.mean(axis=0), covariance)
+
+    def chains(self) -> FloatArray:
+        """(walkers of all ensembles, steps, P) in the model's coordinates, the first half discarded."""
+        kept = [_chain(s)[s.iteration // 2 :].transpose(1, 0, 2) for s in self.samplers]
+        return self.density.folded(np.concatenate(kept))
+
+
+def start(
+    places: Layout, fit: FitResult, data: Usable, index: NDArray[np.intp], group: Sequence[int],
+    kind: str, request: PosteriorSpec, rng: np.random.Generator,
+) -> Ensembles:  # fmt: skip
+    """Ensembles for the channels ``group`` of the samples ``index``, around the mode near the fit.
+
+    Raises FitError where there are fewer values than parameters or the likelihood is not finite.
+    """
+    table = {p.name: p for p in models.parameter_table(places.spec)}
+    linear = [p for p in table.values() if p.linear]
+    names = fit.model.channels
+    value = data.value[index][:, group]
+    sigma = data.sigma[index][:, group] if kind == "table" and data.sigma is not None else None
+    c = len(group)
+    x: list[float] = []
+    labels: list[str] = []
+    low: list[float] = []
+    high: list[float] = []
+    for p in linear:
+        x += [float(fit.parameters[p.name].value[k]) for k in group]
+        labels += [f"{p.name}[{names[k]}]" for k in group]
+        low += [p.lower] * c
+        high += [p.upper] * c
+    for k, name in enumerate(places.free):
+        own = np.atleast_1d(fit.parameters[name].value)
+        number = float(own[group[0]] if len(own) > 1 else own[0])
+        x.append(float(np.log(number)) if places.logs[k] else number)
+        labels.append(name if np.ndim(fit.parameters[name].value) == 0 else f"{name}[{names[group[0]]}]")
+        low.append(places.lower[k])
+        high.append(places.upper[k])
+    if sigma is None:
+        misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
+        guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)]))
+        for what, guess in guesses:
+            x += list(guess)
+            labels += [f"{what}[{names[k]}]" for k in group]
+            low += [0.0] * c
+            high += [np.inf if what == "noise_floor" else LARGEST_NOISE] * c
+    if value.size < len(x):
+        raise FitError(
+            f"{value.size} usable values can't determine {len(x)} parameters", code="too-few-samples",
+            remedy="measure more geometries, fix parameters, or use a simpler model",
+        )  # fmt: skip
+    logs = np.zeros(len(x), bool)
+    logs[len(linear) * c : len(linear) * c + len(places.free)] = places.logs
+    density = Density(
+        places, np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
+        None if sigma is None else np.ascontiguousarray(sigma.T), np.array(low), np.array(high),
+    )  # fmt: skip
+    mode, covariance = density.mode(np.array(x))
+    if not np.isfinite(density(mode[None])).all():
+        raise FitError(
+            "the likelihood is not finite at its mode", code="likelihood-not-finite",
+            cause="standard uncertainties far too small, or values near the limits of floating point",
+            remedy="check sigma and the units of the values",
+        )  # fmt: skip
+    walkers = request.walkers or max(32, 2 * (len(x) + 1))
+    # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
+    spread = 2.0 * np.linalg.cholesky(covariance)
+    starts = [
+        mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)
+    ]
+    seeds = np.random.SeedSequence(int(rng.integers(2**63)))
+    run = Ensembles(density, labels, logs, starts, seeds, [])
+    run.renew(mode, covariance)
+    return run
+
+
+def _chain(sampler: emcee.EnsembleSampler) -> FloatArray:
+    """(steps, walkers, P) since the sampler was made."""
+    return np.asarray(sampler.get_chain(), np.float64)
