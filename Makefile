@@ -46,5 +46,5 @@ lock: ## resolve requirements.lock again (needs uv)
 		--no-header pyproject.toml --group dev -o requirements.lock
 
 clean: ## remove everything that make has made
-	rm -rf .venv demo build dist .hypothesis .ruff_cache
+	rm -rf .venv .cache demo build dist .hypothesis .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

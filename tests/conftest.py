@@ -7,6 +7,20 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+import tests.typecheck  # noqa: F401 (the hook names it by its place)
+
+# Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
+# Not the requests themselves (fit, FitSpec): their own errors are what is tested.
+KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples")
+install_import_hook(
+    [
+        "fitter.models", "fitter.directions", "fitter.grid", "fitter.table",
+        *(f"fitter.fitting.{kernel}" for kernel in KERNELS),
+    ],
+    "tests.typecheck.checked",
+)  # fmt: skip
 
 settings.register_profile(
     "project", deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow]
@@ -14,6 +28,12 @@ settings.register_profile(
 settings.load_profile("project")
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# Compiled programs are shared by the test processes and by the commands they start.
+os.environ.setdefault("XDG_CACHE_HOME", str(ROOT / ".cache"))
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "brdf-fitter" / "xla"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
 
 
 @pytest.fixture(scope="session")

@@ -76,9 +76,8 @@ def write_up(
         u = np.sqrt(np.array([solved[g].estimates.covariance[k, k] for g, k in found]))
         ends = tuple(solved[g].estimates.at_bound[k] for g, k in found)
         scalar = len(keys) == 1 and (not p.linear) and (shared or len(names) == 1)
-        parameters[p.name] = Estimate(
-            value[0] if scalar else value, u[0] if scalar else u, p.unit, p.description, ends
-        )
+        y, uncertainty = (np.asarray(a[0] if scalar else a) for a in (value, u))
+        parameters[p.name] = Estimate(y, uncertainty, p.unit, p.description, ends)
         labels += [p.name if scalar or c is None else f"{p.name}[{table.channels[c].name}]" for _, c in keys]
         rows += found
     covariance = np.zeros((len(rows), len(rows)))

@@ -11,7 +11,7 @@ from typing import Any  # noqa: E402
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
-from jax.typing import ArrayLike  # noqa: E402
+from numpy.typing import ArrayLike  # noqa: E402
 
 from fitter.errors import SpecError  # noqa: E402
 from fitter.models.base import ReflectanceModel  # noqa: E402

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -15,6 +15,7 @@ from fitter.models import ndf
 from fitter.models.pair import Half, Pair
 
 
+@runtime_checkable
 class Lobe(Protocol):
     """A density of wo given wi over the whole sphere, per unit solid angle."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -72,29 +74,26 @@ def test_inner_problem_is_scipys_nnls():
         for _ in range(40):
             a, y = rng.standard_normal((30, k)), rng.standard_normal(30)
             expected, _ = nnls(a, y)
-            found = np.asarray(separable.non_negative(a.T @ a, a.T @ y))
+            found = np.asarray(separable.non_negative(jnp.asarray(a.T @ a), jnp.asarray(a.T @ y)))
             np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 def test_inner_problem_survives_equal_columns():
     a = np.ones((10, 3))
-    b = np.asarray(separable.non_negative(a.T @ a, a.T @ np.full(10, 2.0)))
+    b = np.asarray(separable.non_negative(jnp.asarray(a.T @ a), jnp.asarray(a.T @ np.full(10, 2.0))))
     assert np.isfinite(b).all()
     assert b.sum() == pytest.approx(2.0, rel=1e-6)
 
 
 def test_reduced_gradient_is_the_finite_difference():
-    import jax
-    import jax.numpy as jnp
-
     model = models.create("torrance_sparrow", **TRUTHS["torrance_sparrow"])
     table = scattered(model, seed=5, n=300)
     places = layout(FitSpec(model=ModelSpec.parse("torrance_sparrow")))
-    pair = np.concatenate([table.wi.T, table.wo.T])
-    weight = np.ones_like(table.value)
+    pair, value = jnp.concatenate([table.wi.T, table.wo.T]), jnp.asarray(table.value)
+    weight = jnp.ones_like(value)
 
     def objective(u):
-        return jnp.sum(jnp.square(separable.residuals(places, u, pair, table.value, weight)))
+        return jnp.sum(jnp.square(separable.residuals(places, u, pair, value, weight)))
 
     u, h = jnp.array([-1.2]), 1e-5
     numeric = (objective(u + h) - objective(u - h)) / (2 * h)
