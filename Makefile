@@ -7,7 +7,7 @@ WORKERS ?= auto
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint bench evidence serve lock clean
+.PHONY: help install demo test lint bench serve lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -34,9 +34,6 @@ lint: .venv/.installed ## check style and types
 
 bench: .venv/.installed ## measure speed
 	$(BIN)/python -m tests.bench $(ARGS)
-
-evidence: .venv/.installed ## run the long studies behind the stated accuracy
-	$(BIN)/python -m tests.evidence $(ARGS)
 
 serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
 	$(BIN)/brdf-fitter serve $(ARGS)

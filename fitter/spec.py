@@ -88,7 +88,7 @@ class ModelSpec(_Frozen):
             )  # fmt: skip
         chosen: dict[str, Any] = {"family": family}
         for word in words:
-            if word.isdigit():
+            if word.isascii() and word.isdecimal():
                 chosen["lobes"] = int(word)
             elif word == "no_diffuse":
                 chosen["diffuse"] = "none"
@@ -125,13 +125,19 @@ class Select(_Frozen):
 
     theta_i_max_deg: Annotated[float, Field(gt=0, le=90)] | None = None
     theta_o_max_deg: Annotated[float, Field(gt=0, le=90)] | None = None
-    channels: tuple[str, ...] | None = None
+    channels: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if self.channels is not None and len(set(self.channels)) < len(self.channels):
+            raise ValueError("a channel is named twice")
+        return self
 
 
 class FitSpec(_Frozen):
     """One fit. Separate from the table and stored with every result, so that it can be made again.
 
-    ``metric`` None takes "measurement" where the table states sigma, else "cosine". ``fixed`` holds
+    ``metric`` None takes "measurement" where the table states sigma, else "cbrt". ``fixed`` holds
     nonlinear parameters at a value, ``bounds`` narrows their range.
     """
 

@@ -17,11 +17,15 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.fitting.layout import Layout
-from fitter.fitting.polish import Normal, bounds
+from fitter.fitting.polish import Normal
 
 FloatArray = NDArray[np.float64]
 #: A direction whose scaled curvature is below this share of the largest is not identified.
 SINGULAR = 1e-10
+#: An entry that moves the fitted values by less than this share of their norm does nothing.
+NOTHING = 1e-7
+#: Samples a term has to live on, at least, for its parameters to be more than those samples' values.
+SUPPORT = 3.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def natural(
 
     ``likelihood`` : whether the metric is the likelihood; the sandwich is used where it is not.
     """
-    c = len(channels)
+    t, c = len(layout.free), len(channels)
     family, spec = layout.family, layout.spec
     table = {q.name: q for q in family.parameter_table(spec)}
     linear = [q.name for q in table.values() if q.linear]
@@ -57,29 +61,58 @@ def natural(
         *((name, None if shared else channels[0]) for name in layout.free),
     ]
 
+    p, matrix, free = _settled(layout, p, normal)
     values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
-    lower, upper = bounds(layout, len(p))
-    reach = 1e-9 * (1.0 + np.abs(p))
-    free = (p > lower + reach) & (p < upper - reach)
-    cov, open_directions = _inverse(normal, free, None if likelihood else samples)
+    cov, open_directions = _inverse(matrix, normal.scores, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
     at_bound: list[str | None] = []
     for (name, _), value in zip(labels, values, strict=True):
-        k = layout.free.index(name) if name in layout.free else None
-        q = table[name]
-        low, high = (q.lower, q.upper) if k is None else _own_bounds(layout, k)
-        span = (high - low) if np.isfinite(high) else max(abs(low), 1.0)
-        near = 1e-6 * span
-        below, above = value <= low + min(near, 1e-9), value >= high - near
-        at_bound.append("lower" if below else "upper" if above else None)
+        if name in layout.free:
+            k = layout.free.index(name)
+            low_end = 2 * p[k] < layout.lower[k] + layout.upper[k]
+            at_bound.append(None if free[k] else "lower" if low_end else "upper")
+        else:
+            q = table[name]
+            at_bound.append("lower" if value <= q.lower else "upper" if value >= q.upper else None)
     # A parameter is open if any of the directions that the data leave open moves it.
     moved = np.abs(jacobian @ open_directions)
     size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300
     unidentified = [k for k in range(len(labels)) if (moved[k] > 1e-3 * size[k]).any()]
+    # A lobe between the samples fits any one of them: its curvature says nothing of its uncertainty.
+    thin = (normal.support < SUPPORT).reshape(-1) & (p[t:] > 0)
+    reached = np.abs(jacobian[:, t:][:, thin]) * p[t:][thin] > 1e-3 * np.abs(values)[:, None]
+    narrow = [k for k in range(len(labels)) if reached[k].any()]
+    if narrow:
+        narrow += [k for k, (name, _) in enumerate(labels) if name in layout.free]
+    unidentified = sorted({*unidentified, *narrow})
     for k, bound in enumerate(at_bound):
         if bound is not None or k in unidentified:
             spread[k, :] = spread[:, k] = np.nan
     return Natural(tuple(labels), values, spread, tuple(at_bound), tuple(unidentified))
+
+
+def _settled(
+    layout: Layout, p: FloatArray, normal: Normal
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """The vector with what is on a bound put exactly there, the matrix (P, P) with flat parameters exactly
+    flat, and which entries are free.
+
+    "On" and "flat" are judged by what the entry does to the fitted values, relative to their norm in its
+    channel: coefficients have no scale of their own.
+    """
+    t = len(layout.free)
+    c = normal.support.shape[1]
+    p, matrix = p.copy(), normal.matrix.copy()
+    effect = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+    share = (p[t:] * effect[t:]).reshape(-1, c)
+    norm = np.maximum(share.max(axis=0), 1e-300)
+    p[t:] = np.where(share <= NOTHING * norm, 0.0, p[t:].reshape(-1, c)).reshape(-1)
+    low, high = layout.box
+    span = high - low
+    free = np.concatenate([(p[:t] > low + 1e-5 * span) & (p[:t] < high - 1e-5 * span), p[t:] > 0])
+    flat = np.concatenate([effect[:t] * span <= NOTHING * norm.max(), np.zeros(len(p) - t, bool)])
+    matrix[flat, :] = matrix[:, flat] = 0.0
+    return p, matrix, free
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "c"))
@@ -101,7 +134,7 @@ def _to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
 
 
 def _inverse(
-    normal: Normal, free: NDArray[np.bool_], samples: int | None
+    whole: FloatArray, scores: FloatArray, free: NDArray[np.bool_], samples: int | None
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance (P, P) of the vector, zero for what sits on a bound, and the open directions (P, m).
 
@@ -110,7 +143,7 @@ def _inverse(
     size = len(free)
     cov = np.zeros((size, size))
     where = np.flatnonzero(free)
-    matrix = normal.matrix[np.ix_(where, where)]
+    matrix = whole[np.ix_(where, where)]
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
     flat = scale <= 0
     scale = np.where(flat, 1.0, scale)
@@ -118,7 +151,7 @@ def _inverse(
     weak = values < SINGULAR * max(values.max(initial=0.0), 1e-300)
     pseudo = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
     if samples is not None:
-        meat = normal.scores[np.ix_(where, where)] * (samples / max(1, samples - len(where)))
+        meat = scores[np.ix_(where, where)] * (samples / max(1, samples - len(where)))
         pseudo = pseudo @ meat @ pseudo
     cov[np.ix_(where, where)] = pseudo
     directions = np.zeros((size, int(weak.sum())))
@@ -126,7 +159,3 @@ def _inverse(
     lengths = np.linalg.norm(directions, axis=0)
     return cov, directions / np.where(lengths > 0, lengths, 1.0)
 
-
-def _own_bounds(layout: Layout, k: int) -> tuple[float, float]:
-    low, high = layout.lower[k], layout.upper[k]
-    return (float(np.exp(low)), float(np.exp(high))) if layout.logs[k] else (low, high)

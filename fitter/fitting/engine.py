@@ -49,7 +49,7 @@ def fit(
     ----------
     table : a Table, or a CompressedTable (then the result says with what tolerance).
     model : a short name ("ward", "lafortune:2"), a ModelSpec, or a whole FitSpec, which then rules alone.
-    metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cosine".
+    metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
     progress : called with (share, text); may raise to stop the fit.
 
     Raises
@@ -72,7 +72,7 @@ def fit(
     if isinstance(table, CompressedTable):
         reduction["compressed"] = {"tolerance": table.tolerance, "bytes": table.nbytes}
         table = table.decompress()
-    chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cosine")
+    chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
     separate = per_channel(request.model)
     progress(0.0, "preparing samples")

@@ -73,6 +73,11 @@ def layout(fit: FitSpec) -> Layout:
     logs: list[bool] = []
     for name in fit.bounds:
         _nonlinear(table, name, "bounds")
+        if name in fit.fixed:
+            raise SpecError(
+                f"{name} is both fixed and bounded", code="bad-bounds", parameter=name,
+                remedy="leave out one of the two",
+            )  # fmt: skip
     for p in nonlinear:
         if p.name in fit.fixed:
             continue

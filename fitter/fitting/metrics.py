@@ -9,6 +9,11 @@ measurement:
                                                    without the solid-angle weights)
     log          w = 1           T(x) = ln(x + e)  relative error; e = 1e-3 of the median value
     cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012)
+
+Where a table states no noise the default is cbrt. Weighted least squares follows the few brightest samples:
+Sun, Jensen and Ramamoorthi 2018 found one-lobe fits of 100 materials to render at 28.8 dB with it, at
+39.4 dB with a logarithm and at 41.3 dB with the cube root; and with noise in proportion to the value it
+leaves the diffuse albedo to chance (0.6 % on a MERL table with 1 % noise, where cbrt has 0.01 %).
 """
 
 from __future__ import annotations

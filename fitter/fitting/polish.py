@@ -35,7 +35,8 @@ MAX_PASSES = 60
 
 class Normal(NamedTuple):
     """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective, plain and
-    relative squared error for the report, outer products of the samples' scores (P, P)."""
+    relative squared error for the report, outer products of the samples' scores (P, P), and of each
+    coefficient (K, C) the number of samples that its term effectively lives on."""
 
     matrix: FloatArray
     rhs: FloatArray
@@ -43,6 +44,7 @@ class Normal(NamedTuple):
     squared_error: float
     relative_error: float
     scores: FloatArray
+    support: FloatArray
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
@@ -75,14 +77,14 @@ def _accumulate(
         relative = plain / (jnp.abs(y_) + 10.0 * floor)
         parts = (
             jnp.einsum("cin,cjn->cij", x, x), -scores.sum(axis=2), jnp.sum(value**2), jnp.sum(plain**2),
-            jnp.sum(relative**2), flat @ flat.T,
+            jnp.sum(relative**2), flat @ flat.T, jnp.sum(x[:, t:] ** 4, axis=2),
         )  # fmt: skip
         return tuple(a + p for a, p in zip(carry, parts, strict=True))
 
     p, size = t + k, t + k * c
     zero = (
         jnp.zeros((c, p, p)), jnp.zeros((c, p)), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()),
-        jnp.zeros((size, size)),
+        jnp.zeros((size, size)), jnp.zeros((c, k)),
     )  # fmt: skip
     return jax.lax.fori_loop(0, chunks, step, zero)
 
@@ -112,7 +114,10 @@ def normal_equations(
         where = np.concatenate([np.arange(t), t + np.arange(k) * c + channel])
         matrix[np.ix_(where, where)] += sums[0][channel]
         rhs[where] += sums[1][channel]
-    return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5])
+    # (sum x^2)^2 / sum x^4 of the weighted term x: 1 where one sample carries it all.
+    energy = np.diagonal(sums[0], axis1=1, axis2=2)[:, t:]
+    support = energy**2 / np.maximum(sums[6], 1e-300)
+    return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5], support.T)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from fitter.table import Table
 FloatArray = NDArray[np.float64]
 #: Samples a block holds. One length for all, so that one program serves every table.
 BLOCK = 65_536
+#: Values beyond this, either way, are refused.
+LARGEST = 1e60
 
 
 @dataclass(frozen=True)
@@ -147,11 +149,20 @@ def usable(table: Table, metric: Metric, select: Select) -> Usable:
             "all values are zero", code="nothing-to-fit", cause="a table of fill values",
             remedy="check the value columns",
         )  # fmt: skip
+    weight = metrics.base_weights(metric, value, sigma, wi[:, 2])
+    # Sums of fourth powers have to stay numbers.
+    largest = max(float(np.abs(value).max()), float(np.abs(weight * value).max()))
+    if not 1.0 / LARGEST < largest < LARGEST or float(np.abs(weight).max()) > LARGEST:
+        raise FitError(
+            f"values, or values over their uncertainty, as large as {largest:.3g} can't be fitted",
+            code="values-out-of-range", cause="a wrong unit, a fill value, or a sigma that is all but zero",
+            remedy=f"give values between {1 / LARGEST:g} and {LARGEST:g}, or mask the absurd ones",
+        )  # fmt: skip
     return Usable(
         pair=np.concatenate([wi.T, wo.T]),
         value=value,
         sigma=sigma,
-        weight=metrics.base_weights(metric, value, sigma, wi[:, 2]),
+        weight=weight,
         floor=floor,
         channels=channels,
         left_out={why: n for why, n in left_out.items() if n},

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from fitter.errors import FitError
 from fitter.fitting import beam, separable
 from fitter.fitting.layout import Layout
 
@@ -65,6 +66,12 @@ def search(
         begin = np.concatenate([grown[: solves - solves // 3], begin])[:solves]
     u, cost, b = (np.asarray(a) for a in separable.solve_many(layout, begin, pair, y, weight))
     ok = np.isfinite(cost) & np.isfinite(u).all(axis=1) & np.isfinite(b).all(axis=(1, 2))
+    if not ok.any():
+        raise FitError(
+            f"the objective of {layout.spec.name} is not finite anywhere", code="not-finite",
+            cause="values or weights near the limits of floating point, or a single absurd value",
+            remedy="look at the table's largest value and smallest sigma",
+        )  # fmt: skip
     order = np.flatnonzero(ok)[np.argsort(cost[ok])]
     best = cost[order[0]]
     basins: list[Basin] = []

@@ -164,6 +164,19 @@ def _verdict(
             warnings.append(f"only 1 of {starts} starts reached the best optimum: try more starts")
     for why, count in data.left_out.items():
         warnings.append(f"{count} usable samples left out: {why}")
+    if table.symmetry == "anisotropic":
+        warnings.append("the table is anisotropic and this model is not: it finds an average over azimuths")
+    for name in ("kd", "rho"):
+        values = [
+            value
+            for s in solved
+            for (label, _), value in zip(s.estimates.labels, s.estimates.values, strict=True)
+            if label == name
+        ]
+        if max(values, default=0.0) > 1:
+            warnings.append(
+                f"{name} is {max(values):.3g}: more is reflected than arrives; check the scale of the values"
+            )
     if table.domain.incidences == 1:
         warnings.append("one incidence only: the model's dependence on it is an extrapolation")
     stuck = [k for k, s in enumerate(solved) if not s.polished.converged]

@@ -27,6 +27,10 @@ __all__ = [
 ]  # fmt: skip
 
 
+#: Scales beyond this make products of a model's terms overflow.
+LARGEST = 1e150
+
+
 def family_of(spec: ModelSpec) -> type[ReflectanceModel]:
     """The class of a specification's family."""
     kinds: dict[str, type[ReflectanceModel]] = {
@@ -69,9 +73,10 @@ def create(
     filled: dict[str, Any] = {}
     for p in table:
         array = arrays[p.name]
-        if not np.isfinite(array).all() or (array < p.lower).any() or (array > p.upper).any():
+        upper = min(p.upper, LARGEST)
+        if not np.isfinite(array).all() or (array < p.lower).any() or (array > upper).any():
             raise SpecError(
-                f"{p.name} = {array.tolist()} is outside [{p.lower:g}, {p.upper:g}]",
+                f"{p.name} = {array.tolist()} is outside [{p.lower:g}, {upper:g}]",
                 code="parameter-out-of-bounds", parameter=p.name,
                 remedy=f"{p.name} is {p.description}, unit {p.unit}",
             )  # fmt: skip

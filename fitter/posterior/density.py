@@ -84,9 +84,9 @@ class Density:
         h = 0.5 * (h + h.T) + np.diag(np.where(pressed, slope * slope, 0.0))
         typical = np.maximum(np.abs(y), 1e-3 * np.median(np.abs(self.value)))
         width = np.where(np.isfinite(self.upper), 0.3 * (self.upper - self.lower), typical)
-        scaled = h * np.outer(width, width)
-        values, vectors = np.linalg.eigh(scaled)
-        return (vectors * np.maximum(values, 1.0)) @ vectors.T / np.outer(width, width)
+        # One factor after the other: the product of two small widths underflows.
+        values, vectors = np.linalg.eigh(np.nan_to_num(h * width[:, None] * width))
+        return (vectors * np.maximum(values, 1.0)) @ vectors.T / width[:, None] / width
 
     def _negative(self, z: FloatArray, scale: FloatArray) -> tuple[float, FloatArray]:
         value, slope = _value_and_grad(self.layout, z * scale, *self._data())

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fitter import models
 from fitter.errors import FitError
 from fitter.fitting.layout import Layout
+from fitter.fitting.metrics import LOG_FLOOR
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
 from fitter.posterior.density import Density
@@ -22,6 +23,9 @@ from fitter.spec import PosteriorSpec
 FloatArray = NDArray[np.float64]
 #: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
 LARGEST_NOISE = 3.0
+#: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
+#: between the samples can have any strength: without a bound its posterior is not proper.
+LARGEST_SCALE = 100.0
 
 
 @dataclass
@@ -31,6 +35,7 @@ class Ensembles:
     density: Density
     labels: list[str]
     logs: NDArray[np.bool_]
+    units: FloatArray
     starts: list[FloatArray]
     seeds: np.random.SeedSequence
     samplers: list[emcee.EnsembleSampler]
@@ -66,6 +71,10 @@ class Ensembles:
         covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
         self.renew(seen.mean(axis=0), covariance)
 
+    def natural(self, y: FloatArray) -> FloatArray:
+        """The parameters in their own units from the model's coordinates, both (..., P)."""
+        return np.where(self.logs, np.exp(np.where(self.logs, y, 0.0)), y * self.units)
+
     def chains(self) -> FloatArray:
         """(walkers of all ensembles, steps, P) in the model's coordinates, the first half discarded."""
         kept = [_chain(s)[s.iteration // 2 :].transpose(1, 0, 2) for s in self.samplers]
@@ -83,18 +92,23 @@ def start(
     table = {p.name: p for p in models.parameter_table(places.spec)}
     linear = [p for p in table.values() if p.linear]
     names = fit.model.channels
-    value = data.value[index][:, group]
-    sigma = data.sigma[index][:, group] if kind == "table" and data.sigma is not None else None
+    # In units of a typical value: squares of values near 1e-100 would not be numbers any more.
+    unit = float(data.floor[list(group)].max()) / LOG_FLOOR
+    value = data.value[index][:, group] / unit
+    sigma = data.sigma[index][:, group] / unit if kind == "table" and data.sigma is not None else None
     c = len(group)
     x: list[float] = []
     labels: list[str] = []
     low: list[float] = []
     high: list[float] = []
+    units: list[float] = []
     for p in linear:
-        x += [float(fit.parameters[p.name].value[k]) for k in group]
+        own_unit = unit if np.isinf(p.upper) else 1.0
+        units += [own_unit] * c
+        x += [float(fit.parameters[p.name].value[k]) / own_unit for k in group]
         labels += [f"{p.name}[{names[k]}]" for k in group]
         low += [p.lower] * c
-        high += [p.upper] * c
+        high += [min(p.upper, LARGEST_SCALE * np.pi * float(np.abs(value).max()))] * c
     for k, name in enumerate(places.free):
         own = np.atleast_1d(fit.parameters[name].value)
         number = float(own[group[0]] if len(own) > 1 else own[0])
@@ -102,11 +116,13 @@ def start(
         labels.append(name if np.ndim(fit.parameters[name].value) == 0 else f"{name}[{names[group[0]]}]")
         low.append(places.lower[k])
         high.append(places.upper[k])
+        units.append(1.0)
     if sigma is None:
         misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
-        guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)]))
+        guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)] / unit))
         for what, guess in guesses:
             x += list(guess)
+            units += [unit if what == "noise_floor" else 1.0] * c
             labels += [f"{what}[{names[k]}]" for k in group]
             low += [0.0] * c
             high += [np.inf if what == "noise_floor" else LARGEST_NOISE] * c
@@ -121,7 +137,13 @@ def start(
         places, np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
         None if sigma is None else np.ascontiguousarray(sigma.T), np.array(low), np.array(high),
     )  # fmt: skip
-    mode, covariance = density.mode(np.array(x))
+    try:
+        mode, covariance = density.mode(np.clip(np.array(x), density.lower, density.upper))
+    except np.linalg.LinAlgError as error:
+        raise FitError(
+            "the likelihood has no usable curvature at its mode", code="likelihood-not-finite",
+            cause="values near the limits of floating point", remedy="rescale the table's values",
+        ) from error  # fmt: skip
     if not np.isfinite(density(mode[None])).all():
         raise FitError(
             "the likelihood is not finite at its mode", code="likelihood-not-finite",
@@ -135,7 +157,7 @@ def start(
         mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)
     ]
     seeds = np.random.SeedSequence(int(rng.integers(2**63)))
-    run = Ensembles(density, labels, logs, starts, seeds, [])
+    run = Ensembles(density, labels, logs, np.array(units), starts, seeds, [])
     run.renew(mode, covariance)
     return run
 

@@ -130,7 +130,7 @@ def _posterior(
         flat = run.chains().reshape(-1, run.density.size)
         # Groups are independent, so any pairing of their draws is a draw of all.
         picked = flat[rng.choice(len(flat), request.keep, replace=len(flat) < request.keep)]
-        columns.append(np.where(run.logs, np.exp(np.where(run.logs, picked, 0.0)), picked))
+        columns.append(run.natural(picked))
         labels += run.labels
     diagnostics = {
         label: d

@@ -107,7 +107,7 @@ def _scipy(name: str, table: Table) -> Callable[[], dict[str, FloatArray]]:
 
 
 def _cold(table: Table, size: Size) -> Iterator[Row]:
-    """From starting Python to a fitted file: no compiled program kept, then the second process."""
+    """From starting Python to a file fitted twice: no compiled program kept, then the second process."""
     repeats = size.pick(3, 1)
     first: list[dict[str, float]] = []
     second: list[dict[str, float]] = []
@@ -124,8 +124,8 @@ def _cold(table: Table, size: Size) -> Iterator[Row]:
             bare.append(_process("-c", "import jax, scipy.optimize; print('{}')")["process"])
     for label, laps in (("first process, nothing compiled yet", first), ("second process", second)):
         yield Row(
-            case=f"load and fit ward, {label}",
-            ours=Figure.of("import, load, fit, exit", "s", [lap["process"] for lap in laps]),
+            case=f"load and fit ward twice, {label}",
+            ours=Figure.of("import, load, fit twice, exit", "s", [lap["process"] for lap in laps]),
             others=(Figure.of("floor: importing JAX and SciPy", "s", bare),),
             facts={k: [lap[k] for lap in laps] for k in ("import", "load", "fit", "fit_again")},
             seed=SEED,

@@ -98,7 +98,12 @@ class _Stretch:
         self.seconds += time.perf_counter() - began
 
     def judged(self) -> tuple[float, float]:
-        """Effective samples a second and R-hat, as for ours: half discarded, all of the time counted."""
+        """Effective samples a second and R-hat, as for ours: half discarded, all of the time counted.
+
+        Counted as for ours and by emcee's autocorrelation time, whichever is more: walkers that have not
+        mixed in the time they had would otherwise count for too little.
+        """
         chains = self.sampler.get_chain()[self.sampler.iteration // 2 :].transpose(1, 0, 2)
         found = diagnose(chains)
-        return min(d.ess_bulk for d in found) / self.seconds, max(d.rhat for d in found)
+        plainly = chains.shape[0] * chains.shape[1] / max(d.autocorrelation_time for d in found)
+        return max(plainly, min(d.ess_bulk for d in found)) / self.seconds, max(d.rhat for d in found)

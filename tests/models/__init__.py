@@ -1,16 +1,24 @@
-"""Every model the suite runs over: adding a model adds its short names here."""
+"""Every model the suite runs over, from the options the specification knows."""
 
-MODELS = (
-    "ward",
-    "ward:duer",
-    "ward:bounded",
-    "ward:no_diffuse",
-    "torrance_sparrow",
-    "torrance_sparrow:smith",
-    "torrance_sparrow:ggx:smith",
-    "torrance_sparrow:ggx:none",
-    "lafortune",
-    "lafortune:2",
-    "lafortune:3:no_diffuse",
-    "oren_nayar",
-)
+from __future__ import annotations
+
+import itertools
+
+from fitter.spec import FAMILIES, MAX_LOBES, OPTIONS, ModelSpec
+
+
+def _every() -> tuple[str, ...]:
+    names: list[str] = []
+    for family in FAMILIES:
+        options = OPTIONS[family]
+        for chosen in itertools.product(*options.values()):
+            names += [
+                ModelSpec(family=family, lobes=lobes, **dict(zip(options, chosen, strict=True))).name
+                for lobes in range(1, MAX_LOBES.get(family, 1) + 1)
+            ]
+        if family != "oren_nayar":
+            names.append(f"{family}:no_diffuse")
+    return tuple(names)
+
+
+MODELS = _every()
