@@ -16,6 +16,7 @@ from api.service import Here, Service
 from api.store import new_id
 from fitter.documents import dumps
 from fitter.errors import SpecError
+from fitter.fitting import check
 from fitter.spec import fit_spec
 
 router = APIRouter(prefix="/v1", tags=["fits"])
@@ -37,6 +38,8 @@ def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dic
         fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
         for one in chosen if one is not None
     ]  # fmt: skip
+    for spec in specs:
+        check(spec)
     request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
     return _start(here, response, "fit", wanted.table, request)
 

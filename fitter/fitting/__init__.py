@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fitter.fitting.engine import fit
+from fitter.fitting.engine import check, fit
 from fitter.fitting.result import Estimate, FitResult, load_fit
 
-__all__ = ["Estimate", "FitResult", "fit", "load_fit"]
+__all__ = ["Estimate", "FitResult", "check", "fit", "load_fit"]

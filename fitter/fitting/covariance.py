@@ -45,11 +45,13 @@ class Natural:
 
 
 def natural(
-    layout: Layout, p: FloatArray, normal: Normal, channels: Sequence[int], samples: int, likelihood: bool
-) -> Natural:
+    layout: Layout, p: FloatArray, normal: Normal, support: FloatArray, channels: Sequence[int], samples: int,
+    likelihood: bool,
+) -> Natural:  # fmt: skip
     """Estimates and covariance of one group from the vector p and its normal equations.
 
-    ``likelihood`` : whether the metric is the likelihood; the sandwich is used where it is not.
+    support : (K, C) samples each term lives on, see :func:`fitter.fitting.polish.support`.
+    likelihood : whether the metric is the likelihood; the sandwich is used where it is not.
     """
     t, c = len(layout.free), len(channels)
     family, spec = layout.family, layout.spec
@@ -61,7 +63,7 @@ def natural(
         *((name, None if shared else channels[0]) for name in layout.free),
     ]
 
-    p, matrix, free = _settled(layout, p, normal)
+    p, matrix, free = _settled(layout, p, normal, c)
     values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
     cov, open_directions = _inverse(matrix, normal.scores, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
@@ -79,7 +81,7 @@ def natural(
     size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300
     unidentified = [k for k in range(len(labels)) if (moved[k] > 1e-3 * size[k]).any()]
     # A lobe between the samples fits any one of them: its curvature says nothing of its uncertainty.
-    thin = (normal.support < SUPPORT).reshape(-1) & (p[t:] > 0)
+    thin = (support < SUPPORT).reshape(-1) & (p[t:] > 0)
     reached = np.abs(jacobian[:, t:][:, thin]) * p[t:][thin] > 1e-3 * np.abs(values)[:, None]
     narrow = [k for k in range(len(labels)) if reached[k].any()]
     if narrow:
@@ -92,7 +94,7 @@ def natural(
 
 
 def _settled(
-    layout: Layout, p: FloatArray, normal: Normal
+    layout: Layout, p: FloatArray, normal: Normal, c: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """The vector with what is on a bound put exactly there, the matrix (P, P) with flat parameters exactly
     flat, and which entries are free.
@@ -101,7 +103,6 @@ def _settled(
     channel: coefficients have no scale of their own.
     """
     t = len(layout.free)
-    c = normal.support.shape[1]
     p, matrix = p.copy(), normal.matrix.copy()
     effect = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
     share = (p[t:] * effect[t:]).reshape(-1, c)

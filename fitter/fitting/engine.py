@@ -16,7 +16,7 @@ from fitter.fitting import nlopt_solver, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, layout, order_lobes, per_channel
 from fitter.fitting.metrics import linearised_weight
-from fitter.fitting.polish import polish
+from fitter.fitting.polish import polish, support
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import BLOCK, Usable, usable
 from fitter.fitting.writeup import Clock, Group, write_up
@@ -27,6 +27,12 @@ FloatArray = NDArray[np.float64]
 #: Basins of the subset that are polished there, and within what share of the best one's objective they
 #: go on to the full table: a subset can't tell near-equals apart.
 BASINS, NEAR = 5, 1.1
+
+
+def check(request: FitSpec) -> None:
+    """Raise the SpecError that :func:`fit` would raise whatever the table: before a job is queued."""
+    layout(request)
+    per_channel(request.model)
 
 
 def fit(
@@ -129,7 +135,10 @@ def _solve(
             cause="values near the limits of floating point", remedy="rescale the table's values",
         )  # fmt: skip
     positions = [data.channels[c] for c in group]
-    estimates = natural(places, end.p, end.normal, positions, len(data), metric == "measurement")
+    lives_on = support(places, metric, floor, end.p, full)
+    estimates = natural(
+        places, end.p, end.normal, lives_on, positions, len(data), metric == "measurement"
+    )
     clock.lap("uncertainty")
     return Group(end, estimates, evidence, len(index), passes + end.passes)
 

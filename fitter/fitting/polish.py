@@ -35,8 +35,7 @@ MAX_PASSES = 60
 
 class Normal(NamedTuple):
     """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective, plain and
-    relative squared error for the report, outer products of the samples' scores (P, P), and of each
-    coefficient (K, C) the number of samples that its term effectively lives on."""
+    relative squared error for the report, outer products of the samples' scores (P, P)."""
 
     matrix: FloatArray
     rhs: FloatArray
@@ -44,7 +43,6 @@ class Normal(NamedTuple):
     squared_error: float
     relative_error: float
     scores: FloatArray
-    support: FloatArray
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
@@ -77,14 +75,14 @@ def _accumulate(
         relative = plain / (jnp.abs(y_) + 10.0 * floor)
         parts = (
             jnp.einsum("cin,cjn->cij", x, x), -scores.sum(axis=2), jnp.sum(value**2), jnp.sum(plain**2),
-            jnp.sum(relative**2), flat @ flat.T, jnp.sum(x[:, t:] ** 4, axis=2),
+            jnp.sum(relative**2), flat @ flat.T,
         )  # fmt: skip
         return tuple(a + p for a, p in zip(carry, parts, strict=True))
 
     p, size = t + k, t + k * c
     zero = (
         jnp.zeros((c, p, p)), jnp.zeros((c, p)), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()),
-        jnp.zeros((size, size)), jnp.zeros((c, k)),
+        jnp.zeros((size, size)),
     )  # fmt: skip
     return jax.lax.fori_loop(0, chunks, step, zero)
 
@@ -114,10 +112,39 @@ def normal_equations(
         where = np.concatenate([np.arange(t), t + np.arange(k) * c + channel])
         matrix[np.ix_(where, where)] += sums[0][channel]
         rhs[where] += sums[1][channel]
-    # (sum x^2)^2 / sum x^4 of the weighted term x: 1 where one sample carries it all.
-    energy = np.diagonal(sums[0], axis1=1, axis2=2)[:, t:]
-    support = energy**2 / np.maximum(sums[6], 1e-300)
-    return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5], support.T)
+    return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5])
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _moments(
+    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, pair: Array, y: Array, w: Array
+) -> Array:
+    """(2, K, C) sums of the second and fourth powers of the weighted terms of one block."""
+
+    def one(item: tuple[Array, Array, Array]) -> Array:
+        pair_, y_, w_ = item
+        terms = layout.terms(u, pair_)
+        slope = metrics.residual(metric, jnp.einsum("kn,kc->nc", terms, b), y_, w_, floor).slope
+        energy = jnp.square(terms[:, :, None] * jnp.where(w_ != 0, slope, 0.0))
+        return jnp.stack([energy.sum(axis=1), jnp.square(energy).sum(axis=1)])
+
+    count = y.shape[0] // CHUNK
+    pairs = pair.reshape(6, count, CHUNK).transpose(1, 0, 2)
+    values, weights = y.reshape(count, CHUNK, -1), w.reshape(count, CHUNK, -1)
+    return jax.lax.map(one, (pairs, values, weights)).sum(axis=0)
+
+
+def support(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+) -> FloatArray:
+    """(K, C) on how many samples each term effectively lives: (sum x^2)^2 / sum x^4 of the weighted term x,
+    1 where one sample carries it all. In a pass of its own: in every pass it would cost two thirds more."""
+    t, c = len(layout.free), blocks[0].y.shape[1]
+    u, b = p[:t], p[t:].reshape(-1, c)
+    second, fourth = np.sum(
+        [_moments(layout, metric, u, b, floor, block.pair, block.y, block.weight) for block in blocks], axis=0
+    )
+    return second**2 / np.maximum(fourth, 1e-300)
 
 
 @dataclass(frozen=True)

@@ -141,13 +141,18 @@ def _systematic_share(relative: FloatArray, x: FloatArray, y: FloatArray) -> flo
 
 
 def _binned(angle: FloatArray, relative: FloatArray) -> dict[str, Any]:
-    """Median and central 90 % of the residual in bins of an angle that hold about equally many samples."""
+    """Median and central 90 % of the residual in bins of an angle: its nodes, or equally full bins."""
     good = np.isfinite(relative)
     angle, relative = angle[good], relative[good]
     if not len(angle):
         return {"angle": [], "median": [], "lower": [], "upper": [], "count": []}
-    edges = np.unique(np.quantile(angle, np.linspace(0, 1, min(BINS, max(1, len(angle) // 8)) + 1)))
-    which = np.searchsorted(edges[1:-1], angle, side="right")
+    nodes = np.unique(np.round(angle, 2))
+    if len(nodes) <= BINS:
+        # A scanned angle has few values: one bin each, so that the worst scan is not hidden in its neighbour's.
+        inner = 0.5 * (nodes[1:] + nodes[:-1])
+    else:
+        inner = np.unique(np.quantile(angle, np.linspace(0, 1, min(BINS, max(1, len(angle) // 8)) + 1)))[1:-1]
+    which = np.searchsorted(inner, angle, side="right")
     rows = [(angle[which == k], relative[which == k]) for k in np.unique(which)]
     low, mid, high = np.array([np.quantile(r, [0.05, 0.5, 0.95]) for _, r in rows]).T
     return {

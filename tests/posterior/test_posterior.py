@@ -128,7 +128,10 @@ def test_inferred_noise_is_found():
 
 def test_albedo_near_zero_stays_positive_and_finite():
     model = models.create("ward", kd=0.0, ks=0.3, alpha=0.2)
-    table = scattered(model, seed=4, n=200, noise=0.05)
+    exact = scattered(model, seed=4, n=200, noise=0.0)
+    sigma = 0.05 * exact.value + 0.002
+    noisy = exact.value + sigma * np.random.default_rng(4).standard_normal(sigma.shape)
+    table = fitter.Table(wi=exact.wi, wo=exact.wo, value=noisy, sigma=sigma, negatives="keep")
     post = fitter.posterior(table, fitter.fit(table, "ward"), **QUICK)
     assert np.isfinite(post.draws).all()
     assert (post.draws >= 0).all()
