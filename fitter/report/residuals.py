@@ -148,7 +148,7 @@ def _binned(angle: FloatArray, relative: FloatArray) -> dict[str, Any]:
         return {"angle": [], "median": [], "lower": [], "upper": [], "count": []}
     nodes = np.unique(np.round(angle, 2))
     if len(nodes) <= BINS:
-        # A scanned angle has few values: one bin each, so that the worst scan is not hidden in its neighbour's.
+        # A scanned angle has few values: one bin each, or the worst scan hides in its neighbour's.
         inner = 0.5 * (nodes[1:] + nodes[:-1])
     else:
         inner = np.unique(np.quantile(angle, np.linspace(0, 1, min(BINS, max(1, len(angle) // 8)) + 1)))[1:-1]

@@ -132,7 +132,7 @@ def _misfit(record: Record) -> str:
     )
     birge = _birge(record)
     if birge is not None:
-        text += f", {significant(birge, 2)} times the stated measurement uncertainty (Birge ratio of the worst channel)"
+        text += f", {significant(birge, 2)} times the stated uncertainty (Birge ratio of the worst channel)"
     share = _systematic(record)
     if share is not None:
         text += (
