@@ -36,6 +36,14 @@ LOG_FLOOR = 1e-3
 QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
 
 
+def scaling(metric: Metric, scale: FloatArray) -> FloatArray:
+    """By what a weight is multiplied so that squared residuals are multiplied by ``scale``.
+
+    The cube root is taken after the weight.
+    """
+    return scale**1.5 if metric == "cbrt" else np.sqrt(scale)
+
+
 class Residual(NamedTuple):
     """T(s f) - T(s y) and its slope in f, each of the shape of f."""
 

@@ -38,9 +38,11 @@ class Usable:
     """What a fit uses of a table: arrays over its n usable, selected samples.
 
     pair : (6, n). value, weight : (n, C), weight w s of the metric. floor : (C,) of the metric.
-    channels : positions in the table. left_out : counts by reason of usable samples not used.
+    metric : whose weights they are. channels : positions in the table.
+    left_out : counts by reason of usable samples not used.
     """
 
+    metric: Metric
     pair: FloatArray
     value: FloatArray
     sigma: FloatArray | None
@@ -68,7 +70,7 @@ class Usable:
         columns: slice | list[int] = slice(None) if picked == list(range(self.value.shape[1])) else picked
         weight = self.weight[rows][:, columns]
         if scale is not None:
-            weight = weight * np.sqrt(scale)[:, None]
+            weight = weight * metrics.scaling(self.metric, scale)[:, None]
         return Block(
             pair=_padded(self.pair[:, rows].T, size, edge=True).T,
             y=_padded(self.value[rows][:, columns], size),
@@ -159,6 +161,7 @@ def usable(table: Table, metric: Metric, select: Select) -> Usable:
             remedy=f"give values between {1 / LARGEST:g} and {LARGEST:g}, or mask the absurd ones",
         )  # fmt: skip
     return Usable(
+        metric=metric,
         pair=np.concatenate([wi.T, wo.T]),
         value=value,
         sigma=sigma,

@@ -5,10 +5,12 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import fitter
+from fitter.fitting import metrics
 from fitter.fitting.samples import usable
 from fitter.spec import Select
 from tests.fitting.conftest import TRUTHS, scattered
@@ -53,17 +55,26 @@ def test_merl_table_of_an_independent_generator(tmp_path, convention):
     assert fitter.fit(wrong, "ward").metrics["objective"] > 1.5 * fit.metrics["objective"]
 
 
-def test_subset_stands_for_the_table():
-    """The weighted subset's sums estimate the table's without bias: 200 seeds, 4 standard errors."""
+@pytest.mark.parametrize("metric", ["cosine", "log", "cbrt"])
+def test_subset_stands_for_the_table(metric):
+    """The weighted subset's objective estimates the table's without bias: 200 seeds, 4 standard errors."""
     from fitter import models
 
     table = scattered(models.create("ward", **TRUTHS["ward"]), seed=1, n=5000)
-    data = usable(table, "cosine", Select())
-    target = np.square(data.weight * data.value).sum()
+    data = usable(table, metric, Select())
+    f = jnp.asarray(1.3 * data.value)
+
+    def objective(rows, weight):
+        y, w, floor = (jnp.asarray(a) for a in (data.value[rows], weight, data.floor))
+        part = metrics.residual(metric, f[rows], y, w, floor)
+        return float(jnp.square(part.value).sum())
+
+    target = objective(np.arange(len(data)), data.weight)
     found = []
     for seed in range(200):
         index, scale = data.subset(256, seed)
-        found.append((np.square(data.weight[index] * data.value[index]).sum(axis=1) * scale).sum())
+        block = data.part([0, 1, 2], index, 1024, scale)
+        found.append(objective(index, block.weight[: len(index)]))
     assert abs(np.mean(found) - target) < 4 * np.std(found) / np.sqrt(200)
 
 
@@ -105,3 +116,19 @@ def test_every_measured_table_fits_every_family(shared, file, options, name):
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     assert np.isfinite(np.asarray(fit.model.evaluate(wi, wo))).all()
+
+
+@pytest.mark.measured
+def test_ptfe_is_nearly_lambertian(shared):
+    """Sintered PTFE: every wavelength fits, and the diffuse albedo is near 1."""
+    declared = {
+        "lambda": "wavelength_um", "thetai": "theta_i_deg", "phi": "phi_i_deg", "thetar": "theta_o_deg",
+        "phir": "phi_o_deg", "f_r11": "brdf",
+    }  # fmt: skip
+    tables = fitter.load_all(shared / "measured" / "nist_ptfe" / "PTFE.data.csv", columns=declared)
+    assert len(tables) == 4
+    for table in tables:
+        for name in ("ward", "torrance_sparrow", "lafortune", "oren_nayar"):
+            fit = fitter.fit(table, name)
+            assert fit.status in ("converged", "not_identified"), fit.message
+            assert float(np.asarray(fit.model.albedo([0.0, 0.0, 1.0]))[0]) == pytest.approx(1.0, abs=0.12)
