@@ -28,7 +28,8 @@ def spherical_from_vector(w: ArrayLike) -> tuple[Angles, Angles]:
     The polar angle is atan2(|w_xy|, w_z), exact near the normal where arccos(w_z) loses half its digits.
     """
     w = np.asarray(w, np.float64)
-    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
+    theta, phi = np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
+    return np.asarray(theta), np.asarray(phi)
 
 
 def vectors_from_half_difference(
@@ -72,7 +73,7 @@ def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, 
     x = cos_h * along - sin_h * d[..., 2]
     y = cos_p * d[..., 1] - sin_p * d[..., 0]
     theta_d = np.arctan2(np.linalg.norm(d, axis=-1), 0.5 * np.linalg.norm(h, axis=-1))
-    return theta_h, phi_h, theta_d, np.arctan2(y, x)
+    return theta_h, phi_h, np.asarray(theta_d), np.asarray(np.arctan2(y, x))
 
 
 def mirror(w: ArrayLike) -> Vectors:
