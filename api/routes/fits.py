@@ -38,8 +38,8 @@ def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dic
         fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
         for one in chosen if one is not None
     ]  # fmt: skip
-    for spec in specs:
-        check(spec)
+    if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
+        check(specs[0])
     request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
     return _start(here, response, "fit", wanted.table, request)
 
