@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import nnls
 
 import fitter
-from fitter import FitError, FitSpec, ModelSpec, SpecError, Table, models
+from fitter import FitError, FitSpec, ModelSpec, SpecError, Table, directions, models
 from fitter.fitting import separable
 from fitter.fitting.layout import layout
 from fitter.spec import Select
@@ -245,3 +245,82 @@ def test_progress_can_stop_a_fit():
 
     with pytest.raises(Cancelled):
         fitter.fit(scattered(models.create("ward"), seed=1, n=100), "ward", progress=stop)
+
+
+def nearly_lambertian(seed: int) -> Table:
+    rng = np.random.default_rng(seed)
+    theta_i, theta_o = np.deg2rad(rng.uniform(0, 80, (2, 400)))
+    wi = directions.vector_from_spherical(theta_i, 0.0)
+    wo = directions.vector_from_spherical(theta_o, rng.uniform(0, 2 * np.pi, 400))
+    return Table(wi=wi, wo=wo, value=0.1 * (1 + 0.02 * rng.standard_normal(400)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lobe_between_the_samples_is_never_called_determined(seed):
+    """Noise on a flat table: the best lobe may be one that only a few samples see, of any strength."""
+    fit = fitter.fit(nearly_lambertian(seed), "torrance_sparrow")
+    ks = float(fit.parameters["ks"].value[0])
+    if ks > 1:
+        assert fit.status == "not_identified"
+        assert np.isnan(fit.parameters["ks"].standard_uncertainty).all()
+        assert "ks" in fit.message
+    assert fit.parameters["kd"].value == pytest.approx([0.1 * np.pi], rel=0.01)
+
+
+@pytest.mark.parametrize(("largest", "sigma"), [(1e300, None), (1e-300, None), (1.0, 1e-300)])
+def test_absurd_values_are_a_typed_failure(largest, sigma):
+    table = nearly_lambertian(0)
+    value = table.value.copy()
+    value[3] = largest
+    if largest < 1:
+        value *= 1e-300
+    given = None if sigma is None else np.full_like(value, sigma)
+    with pytest.raises(FitError) as caught:
+        fitter.fit(Table(wi=table.wi, wo=table.wo, value=value, sigma=given), "ward")
+    assert caught.value.code == "values-out-of-range"
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-9, 1e-30, 1e30])
+def test_bounds_are_judged_whatever_the_scale(scale):
+    exact = models.create("ward", kd=0.2, ks=0.0)
+    table = scattered(exact, seed=1, noise=0.0)
+    flat = fitter.fit(Table(wi=table.wi, wo=table.wo, value=table.value * scale), "ward")
+    assert flat.parameters["ks"].at_bound == ("lower",)
+    assert flat.status == "not_identified"
+    glossy = scattered(models.create("ward", kd=0.2, ks=0.1, alpha=0.2), seed=1)
+    found = fitter.fit(Table(wi=glossy.wi, wo=glossy.wo, value=glossy.value * scale), "ward")
+    assert found.status == "converged"
+    assert found.parameters["ks"].at_bound == (None,)
+
+
+def test_an_isotropic_model_of_an_anisotropic_table_says_so():
+    table = nearly_lambertian(0)
+    other = Table(wi=table.wi, wo=table.wo, value=table.value, symmetry="anisotropic")
+    assert any("anisotropic" in warning for warning in fitter.fit(other, "ward").warnings)
+
+
+def test_an_albedo_above_one_is_said():
+    table = nearly_lambertian(0)
+    fit = fitter.fit(Table(wi=table.wi, wo=table.wo, value=10 * table.value), "oren_nayar")
+    assert any("more is reflected than arrives" in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize("name", ["lafortune:²", "lafortune:0", "lafortune:9", "ward:2", "ward:ggx", ""])
+def test_short_names_that_name_nothing(name):
+    with pytest.raises(SpecError):
+        ModelSpec.parse(name)
+
+
+def test_every_short_name_reads_back():
+    from tests.models import MODELS
+
+    for name in MODELS:
+        assert ModelSpec.parse(name).name == name
+
+
+def test_channels_of_a_selection_are_distinct_and_some():
+    for channels in ((), ("G", "G")):
+        with pytest.raises(SpecError):
+            fitter.fit(nearly_lambertian(0), "ward", select={"channels": channels})
+    with pytest.raises(SpecError, match="both fixed and bounded"):
+        fitter.fit(nearly_lambertian(0), "ward", fixed={"alpha": 0.1}, bounds={"alpha": (0.2, 0.3)})

@@ -182,3 +182,25 @@ def test_progress_can_stop_it(ward):
 
     with pytest.raises(Cancelled):
         fitter.posterior(table, fit, progress=stop)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_values_of_any_scale(ward, scale):
+    _, table, _, post = ward
+    other = fitter.Table(wi=table.wi, wo=table.wo, value=table.value * scale, sigma=table.sigma * scale)
+    scaled = fitter.posterior(other, fitter.fit(other, "ward"), **QUICK)
+    for label in ("kd[value]", "ks[value]"):
+        k = post.labels.index(label)
+        assert scaled.draws[:, k].mean() / scale == pytest.approx(post.draws[:, k].mean(), rel=0.01)
+
+
+def test_a_lobe_that_the_table_does_not_show_has_a_proper_posterior():
+    """kd is known, ks may be anything below its stated bound: finite draws, and no false convergence."""
+    model = models.create("ward", kd=0.3, ks=0.0)
+    table = scattered(model, seed=6, n=200, noise=0.02)
+    post = fitter.posterior(table, fitter.fit(table, "torrance_sparrow"), **{**QUICK, "budget_seconds": 10.0})
+    assert np.isfinite(post.draws).all()
+    k = post.labels.index("ks[value]")
+    assert post.draws[:, k].max() <= 100 * np.pi * np.abs(table.value).max() * 1.0001
+    k = post.labels.index("kd[value]")
+    assert post.draws[:, k].mean() == pytest.approx(0.3, rel=0.02)
