@@ -68,19 +68,28 @@ def base_weights(
     return np.ones_like(value)
 
 
-def residual(metric: Metric, f: Array, y: Array, weight: Array, floor: Array) -> Residual:
-    """The residual of a metric. ``floor`` is the value scale per channel, LOG_FLOOR x median."""
+def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray) -> FloatArray:
+    """w T(s y) of the measurements (n, C): computed once, the passes only subtract it."""
     if metric in QUADRATIC:
-        return Residual(weight * (f - y), jnp.broadcast_to(weight, jnp.shape(f)))
+        return weight * y
     if metric == "log":
         # Below -floor a value has no logarithm; the engine leaves such samples out and says so.
+        return weight * np.log(np.maximum(y + floor, 1e-300))
+    return np.cbrt(weight * y)
+
+
+def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array) -> Residual:
+    """The residual of a metric. ``goal`` is :func:`target` of the measurements, ``floor`` the value scale
+    per channel, LOG_FLOOR x median."""
+    if metric in QUADRATIC:
+        return Residual(weight * f - goal, jnp.broadcast_to(weight, jnp.shape(f)))
+    if metric == "log":
         shifted = jnp.maximum(f, 0.0) + floor
-        return Residual(jnp.log(shifted / jnp.maximum(y + floor, 1e-300)) * weight, weight / shifted)
+        return Residual(weight * jnp.log(shifted) - goal, weight / shifted)
     # The cube root's slope is infinite at 0: follow it no closer to 0 than the floor. Only the path to
     # the optimum depends on this, the objective does not.
-    value = jnp.cbrt(weight * f) - jnp.cbrt(weight * y)
-    root = jnp.cbrt(weight * jnp.maximum(f, floor))
-    return Residual(value, weight / (3.0 * jnp.maximum(root * root, 1e-300)))
+    root = jnp.cbrt(weight * f)
+    return Residual(root - goal, weight / (3.0 * jnp.maximum(root * root, jnp.square(jnp.cbrt(floor)))))
 
 
 @functools.partial(jax.jit, static_argnames="metric")
@@ -88,4 +97,4 @@ def linearised_weight(metric: Metric, y: Array, weight: Array, floor: Array) -> 
     """Weight of the quadratic objective that the metric is near its optimum: the slope at f = y."""
     if metric in QUADRATIC:
         return weight
-    return residual(metric, jnp.maximum(y, floor), y, weight, floor).slope
+    return residual(metric, jnp.maximum(y, floor), jnp.zeros_like(y), weight, floor).slope

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from fitter.fitting.samples import Block
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
 CHUNK = 2_048
 #: Passes stop when the objective can fall by less than this many units of its value per degree of
 #: freedom: 1e-6 is a thousandth of a standard error.
@@ -47,8 +48,8 @@ class Normal(NamedTuple):
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
 def _accumulate(
-    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, block_pair: Array, y: Array, w: Array,
-    chunks: Array,
+    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, block_pair: Array, y: Array,
+    goal: Array, w: Array, chunks: Array,
 ) -> tuple[Array, ...]:  # fmt: skip
     """Sums over the first ``chunks`` chunks of a block: a traced count, so that one program serves all."""
     t, (k, c) = len(layout.free), b.shape
@@ -57,11 +58,12 @@ def _accumulate(
         start = index * CHUNK
         pair = jax.lax.dynamic_slice_in_dim(block_pair, start, CHUNK, axis=1)
         y_ = jax.lax.dynamic_slice_in_dim(y, start, CHUNK)
+        goal_ = jax.lax.dynamic_slice_in_dim(goal, start, CHUNK)
         w_ = jax.lax.dynamic_slice_in_dim(w, start, CHUNK)
         terms = layout.terms(u, pair)
         slopes = jax.jacfwd(lambda v: layout.terms(v, pair))(u) if t else jnp.zeros((*terms.shape, 0))
         f = jnp.einsum("kn,kc->nc", terms, b)
-        r = metrics.residual(metric, f, y_, w_, floor)
+        r = metrics.residual(metric, f, goal_, w_, floor)
         used = w_ != 0
         value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
 
@@ -90,20 +92,17 @@ def _accumulate(
 def normal_equations(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
 ) -> Normal:
-    """The sums over all blocks at the vector p. Compiled programs release the GIL: blocks run on threads."""
+    """The sums over all blocks at the vector p."""
     t, c = len(layout.free), blocks[0].y.shape[1]
     u, b = p[:t], p[t:].reshape(-1, c)
 
     def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)
-        found = _accumulate(layout, metric, u, b, floor, block.pair, block.y, block.weight, chunks)
+        data = (block.pair, block.y, block.goal, block.weight)
+        found = _accumulate(layout, metric, u, b, floor, *data, chunks)
         return [np.asarray(part) for part in found]
 
-    if len(blocks) == 1:
-        parts = [one(blocks[0])]
-    else:
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            parts = list(pool.map(one, blocks))
+    parts = _each(one, blocks)
     sums = [np.sum([part[i] for part in parts], axis=0) for i in range(len(parts[0]))]
     k = b.shape[0]
     size = t + k * c
@@ -117,21 +116,29 @@ def normal_equations(
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
 def _moments(
-    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, pair: Array, y: Array, w: Array
+    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, pair: Array, goal: Array, w: Array
 ) -> Array:
     """(2, K, C) sums of the second and fourth powers of the weighted terms of one block."""
 
     def one(item: tuple[Array, Array, Array]) -> Array:
-        pair_, y_, w_ = item
+        pair_, goal_, w_ = item
         terms = layout.terms(u, pair_)
-        slope = metrics.residual(metric, jnp.einsum("kn,kc->nc", terms, b), y_, w_, floor).slope
+        slope = metrics.residual(metric, jnp.einsum("kn,kc->nc", terms, b), goal_, w_, floor).slope
         energy = jnp.square(terms[:, :, None] * jnp.where(w_ != 0, slope, 0.0))
         return jnp.stack([energy.sum(axis=1), jnp.square(energy).sum(axis=1)])
 
-    count = y.shape[0] // CHUNK
+    count = w.shape[0] // CHUNK
     pairs = pair.reshape(6, count, CHUNK).transpose(1, 0, 2)
-    values, weights = y.reshape(count, CHUNK, -1), w.reshape(count, CHUNK, -1)
-    return jax.lax.map(one, (pairs, values, weights)).sum(axis=0)
+    goals, weights = goal.reshape(count, CHUNK, -1), w.reshape(count, CHUNK, -1)
+    return jax.lax.map(one, (pairs, goals, weights)).sum(axis=0)
+
+
+def _each(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
+    """``work`` of every block, on threads: compiled programs release the GIL."""
+    if len(blocks) == 1:
+        return [work(blocks[0])]
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(work, blocks))
 
 
 def support(
@@ -141,9 +148,12 @@ def support(
     1 where one sample carries it all. In a pass of its own: in every pass it would cost two thirds more."""
     t, c = len(layout.free), blocks[0].y.shape[1]
     u, b = p[:t], p[t:].reshape(-1, c)
-    second, fourth = np.sum(
-        [_moments(layout, metric, u, b, floor, block.pair, block.y, block.weight) for block in blocks], axis=0
-    )
+
+    def one(block: Block) -> FloatArray:
+        found = _moments(layout, metric, u, b, floor, block.pair, block.goal, block.weight)
+        return np.asarray(found)
+
+    second, fourth = np.sum(_each(one, blocks), axis=0)
     return second**2 / np.maximum(fourth, 1e-300)
 
 

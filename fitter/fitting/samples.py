@@ -24,11 +24,13 @@ LARGEST = 1e60
 class Block:
     """Samples padded to BLOCK; padding has weight 0.
 
-    pair : (6, B) components of wi and wo. y, weight : (B, C). count : samples that are not padding.
+    pair : (6, B) components of wi and wo. y, weight : (B, C), and goal, the metric's target of y.
+    count : samples that are not padding.
     """
 
     pair: FloatArray
     y: FloatArray
+    goal: FloatArray
     weight: FloatArray
     count: int
 
@@ -71,9 +73,11 @@ class Usable:
         weight = self.weight[rows][:, columns]
         if scale is not None:
             weight = weight * metrics.scaling(self.metric, scale)[:, None]
+        value = self.value[rows][:, columns]
         return Block(
             pair=_padded(self.pair[:, rows].T, size, edge=True).T,
-            y=_padded(self.value[rows][:, columns], size),
+            y=_padded(value, size),
+            goal=_padded(metrics.target(self.metric, value, weight, self.floor[picked]), size),
             weight=_padded(weight, size),
             count=len(weight),
         )

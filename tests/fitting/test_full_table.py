@@ -65,8 +65,9 @@ def test_subset_stands_for_the_table(metric):
     f = jnp.asarray(1.3 * data.value)
 
     def objective(rows, weight):
-        y, w, floor = (jnp.asarray(a) for a in (data.value[rows], weight, data.floor))
-        part = metrics.residual(metric, f[rows], y, w, floor)
+        goal = metrics.target(metric, data.value[rows], weight, data.floor)
+        goal, w, floor = (jnp.asarray(a) for a in (goal, weight, data.floor))
+        part = metrics.residual(metric, f[rows], goal, w, floor)
         return float(jnp.square(part.value).sum())
 
     target = objective(np.arange(len(data)), data.weight)
