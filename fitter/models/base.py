@@ -53,15 +53,19 @@ class ReflectanceModel(eqx.Module):
     def terms(spec: ModelSpec, nonlinear: Mapping[str, Array], p: Pair) -> tuple[Array, ...]:
         """The K terms, each of the shape of the pair, 1/sr; 0 below the horizon."""
 
-    @staticmethod
-    @abc.abstractmethod
-    def coefficients(spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
-        """The K coefficients, each (C,), all >= 0 for parameters within bounds."""
+    @classmethod
+    def coefficients(cls, spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
+        """The K coefficients, each (C,), all >= 0 for parameters within bounds.
 
-    @staticmethod
-    @abc.abstractmethod
-    def linear_from(spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
+        The linear parameters themselves, in the table's order, unless a family says otherwise.
+        """
+        return tuple(linear[p.name] for p in cls.parameter_table(spec) if p.linear)
+
+    @classmethod
+    def linear_from(cls, spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
         """The linear parameters that give these coefficients: the inverse of :meth:`coefficients`."""
+        names = [p.name for p in cls.parameter_table(spec) if p.linear]
+        return dict(zip(names, coefficients, strict=True))
 
     @staticmethod
     @abc.abstractmethod

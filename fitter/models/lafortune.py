@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -55,14 +55,6 @@ class Lafortune(ReflectanceModel):
         return masked_terms(spec, above, lobes)
 
     @staticmethod
-    def coefficients(spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
-        return tuple(linear[name] for name in _linear_names(spec))
-
-    @staticmethod
-    def linear_from(spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
-        return dict(zip(_linear_names(spec), coefficients, strict=True))
-
-    @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
         found: list[tuple[Lobe, Array]] = []
         for s in lobe_suffixes(spec):
@@ -99,8 +91,3 @@ def _renamed(p: Parameter, suffix: str) -> Parameter:
     if not suffix:
         return p
     return dataclasses.replace(p, name=p.name + suffix, description=f"lobe {suffix[1:]}: {p.description}")
-
-
-def _linear_names(spec: ModelSpec) -> tuple[str, ...]:
-    scales = tuple(f"ks{s}" for s in lobe_suffixes(spec))
-    return ("kd", *scales) if spec.diffuse == "lambert" else scales

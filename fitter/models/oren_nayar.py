@@ -8,7 +8,7 @@ grazing for rho = 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -43,14 +43,6 @@ class OrenNayar(ReflectanceModel):
         plane = p.ix * p.ox + p.iy * p.oy
         forward = jnp.maximum(plane, 0.0) / jnp.maximum(p.iz, p.oz)
         return (jnp.where(above, (a + b * forward) / math.pi, 0.0),)
-
-    @staticmethod
-    def coefficients(spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
-        return (linear["rho"],)
-
-    @staticmethod
-    def linear_from(spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
-        return {"rho": coefficients[0]}
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:

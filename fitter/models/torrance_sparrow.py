@@ -49,14 +49,14 @@ class TorranceSparrow(ReflectanceModel):
         lobes = [lobe, lobe * schlick_weight(p, h)] if spec.fresnel == "schlick" else [lobe]
         return masked_terms(spec, above, lobes)
 
-    @staticmethod
-    def coefficients(spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
+    @classmethod
+    def coefficients(cls, spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
         ks = linear["ks"]
         lobes = (ks * linear["f0"], ks * (1.0 - linear["f0"])) if spec.fresnel == "schlick" else (ks,)
         return (linear["kd"], *lobes) if spec.diffuse == "lambert" else lobes
 
-    @staticmethod
-    def linear_from(spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
+    @classmethod
+    def linear_from(cls, spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
         found: dict[str, Array] = {}
         rest = list(coefficients)
         if spec.diffuse == "lambert":

@@ -13,7 +13,7 @@ plus kd/pi. All are reciprocal.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -55,14 +55,6 @@ class Ward(ReflectanceModel):
         return masked_terms(spec, above, [lobe])
 
     @staticmethod
-    def coefficients(spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
-        return tuple(linear[name] for name in _linear_names(spec))
-
-    @staticmethod
-    def linear_from(spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
-        return dict(zip(_linear_names(spec), coefficients, strict=True))
-
-    @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
         # The Gaussian of slopes is the Beckmann NDF less its cos^-4: Ward's own sampling is Beckmann's.
         alphas = jnp.atleast_1d(values["alpha"])
@@ -72,7 +64,3 @@ class Ward(ReflectanceModel):
         if spec.diffuse == "lambert":
             found.append((CosineLobe(), jnp.mean(values["kd"])))
         return found
-
-
-def _linear_names(spec: ModelSpec) -> tuple[str, ...]:
-    return ("kd", "ks") if spec.diffuse == "lambert" else ("ks",)
