@@ -14,7 +14,7 @@ from fitter.compression import CompressedTable
 from fitter.errors import FitError
 from fitter.fitting import nlopt_solver, search
 from fitter.fitting.covariance import natural
-from fitter.fitting.layout import Layout, layout, order_lobes, per_channel
+from fitter.fitting.layout import Layout, channel_groups, layout, order_lobes, per_channel
 from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.polish import polish, support
 from fitter.fitting.result import FitResult
@@ -80,14 +80,12 @@ def fit(
         table = table.decompress()
     chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
-    separate = per_channel(request.model)
     progress(0.0, "preparing samples")
     data = usable(table, chosen, request.select)
-    _enough(data, places, separate)
+    groups = channel_groups(request.model, len(data.channels))
+    _enough(data, places, len(groups[0]))
     clock.lap("prepare")
 
-    channels = range(len(data.channels))
-    groups = [[c] for c in channels] if separate else [list(channels)]
     solved: list[Group] = []
     for k, group in enumerate(groups):
         progress((k + 0.1) / (len(groups) + 1), f"searching {request.model.name}")
@@ -143,8 +141,7 @@ def _solve(
     return Group(end, estimates, evidence, len(index), passes + end.passes)
 
 
-def _enough(data: Usable, places: Layout, separate: bool) -> None:
-    per_group = 1 if separate else len(data.channels)
+def _enough(data: Usable, places: Layout, per_group: int) -> None:
     linear = sum(p.linear for p in models.parameter_table(places.spec))
     parameters = len(places.free) + linear * per_group
     values = len(data) * per_group

@@ -123,6 +123,12 @@ def order_lobes(layout: Layout, p: FloatArray) -> FloatArray:
     return np.concatenate([u, b[:first].reshape(-1), b[first:][order].reshape(-1)])
 
 
+def channel_groups(spec: ModelSpec, channels: int) -> list[list[int]]:
+    """The channels that share their nonlinear parameters, and so are solved together."""
+    every = list(range(channels))
+    return [[c] for c in every] if per_channel(spec) else [every]
+
+
 def per_channel(spec: ModelSpec) -> bool:
     """Whether each channel has nonlinear parameters of its own. Raises SpecError on a mixture."""
     table = [p for p in models.parameter_table(spec) if not p.linear]

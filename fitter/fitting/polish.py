@@ -169,7 +169,7 @@ class Polished:
 
 def polish(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
-    max_passes: int = MAX_PASSES, on_pass: Callable[[int], None] | None = None,
+    max_passes: int = MAX_PASSES,
 ) -> Polished:  # fmt: skip
     """Levenberg-Marquardt on [u, coefficients] with bounds kept by an active set in every step.
 
@@ -184,8 +184,6 @@ def polish(
     damping, passes = 0.0, 1
     rest = np.zeros_like(now.matrix)
     while passes < max_passes:
-        if on_pass is not None:
-            on_pass(passes)
         step, predicted = _step(now.matrix + rest, now.rhs, p, lower, upper, damping)
         if predicted <= TOLERANCE * now.objective / freedom:
             return Polished(p, now, passes, True)

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fitter import progress, spec
+from fitter import progress
 from fitter.compression import CompressedTable
 from fitter.errors import SpecError
-from fitter.fitting.layout import layout, per_channel
+from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable, usable
 from fitter.posterior.diagnostics import diagnose
 from fitter.posterior.ensembles import Ensembles, start
 from fitter.posterior.result import Diagnostic, Posterior
-from fitter.spec import PosteriorSpec
+from fitter.spec import PosteriorSpec, posterior_spec
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +56,7 @@ def sample(
     begun = time.perf_counter()
     if spec is not None and settings:
         raise SpecError("give a PosteriorSpec or its fields, not both", code="bad-spec", parameter="spec")
-    request = spec or _request(settings)
+    request = spec or posterior_spec(settings)
     if isinstance(table, CompressedTable):
         table = table.decompress()
     kind = request.noise or ("table" if table.sigma is not None else "inferred")
@@ -71,8 +71,7 @@ def sample(
     index = np.arange(len(data))
     if len(index) > request.max_samples:
         index = np.sort(rng.choice(len(data), request.max_samples, replace=False))
-    channels = range(len(data.channels))
-    groups = [[c] for c in channels] if per_channel(fit.spec.model) else [list(channels)]
+    groups = channel_groups(fit.spec.model, len(data.channels))
     progress(0.0, "finding the mode")
     runs = [start(places, fit, data, index, group, kind, request, rng) for group in groups]
     prepared = time.perf_counter()
@@ -112,10 +111,6 @@ def sample(
         "mode": prepared - begun, "tuning": tuned - prepared, "sampling": time.perf_counter() - tuned
     }  # fmt: skip
     return _posterior(table, fit, request, runs, found, history, done, kind, data, len(index), phases)
-
-
-def _request(settings: dict[str, Any]) -> PosteriorSpec:
-    return spec.posterior_spec(settings)
 
 
 def _posterior(

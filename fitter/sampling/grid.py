@@ -18,7 +18,7 @@ from scipy import ndimage
 from fitter import directions
 from fitter.sampling.axes import Axis, axes_of, corners
 from fitter.sampling.envelope import Envelope
-from fitter.sampling.interpolant import Slice, pairs
+from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.table import Grid
 
 if TYPE_CHECKING:
@@ -82,13 +82,7 @@ class GridInterpolant:
 
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """``(values, extrapolated)``, (M, C) in 1/sr and (M,), of direction pairs (M, 3) or (3,)."""
-        wi, wo = pairs(wi, wo)
-        values = np.empty((len(wi), self.value.shape[1]))
-        extrapolated = np.empty(len(wi), bool)
-        for start in range(0, len(wi), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            values[part], extrapolated[part] = self._evaluate(wi[part], wo[part])
-        return values, extrapolated
+        return in_chunks(self._evaluate, wi, wo, self.value.shape[1], _CHUNK)
 
     def _evaluate(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, BoolArray]:
         coordinates = self.grid.locate(wi, wo)

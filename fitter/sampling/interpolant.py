@@ -7,6 +7,7 @@ for readers who don't read code.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -70,6 +71,20 @@ def interpolant(table: Table) -> Interpolant:
                 table.wi[use], table.wo[use], table.value[use], isotropic=table.symmetry == "isotropic"
             )
     return kept["_interpolant"]
+
+
+def in_chunks(
+    work: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]],
+    wi: ArrayLike, wo: ArrayLike, channels: int, size: int,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """``work`` of direction pairs, at most ``size`` at a time: (M, channels) values and (M,) flags."""
+    wi, wo = pairs(wi, wo)
+    values = np.empty((len(wi), channels))
+    extrapolated = np.empty(len(wi), bool)
+    for start in range(0, len(wi), size):
+        part = slice(start, start + size)
+        values[part], extrapolated[part] = work(wi[part], wo[part])
+    return values, extrapolated
 
 
 def pairs(wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.errors import TableError
 from fitter.sampling.envelope import Envelope
-from fitter.sampling.interpolant import pairs
+from fitter.sampling.interpolant import in_chunks, pairs
 from fitter.sampling.scans import PLANE, Scan, group, triangulate
 
 FloatArray = NDArray[np.float64]
@@ -176,13 +176,7 @@ class ScatteredInterpolant:
 
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """``(values, extrapolated)``, (M, C) in 1/sr and (M,), of direction pairs (M, 3) or (3,)."""
-        wi, wo = pairs(wi, wo)
-        values = np.empty((len(wi), self.scans[0].value.shape[1]))
-        extrapolated = np.empty(len(wi), bool)
-        for start in range(0, len(wi), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            values[part], extrapolated[part] = self._evaluate(wi[part], wo[part])
-        return values, extrapolated
+        return in_chunks(self._evaluate, wi, wo, self.scans[0].value.shape[1], _CHUNK)
 
     def _evaluate(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, BoolArray]:
         if self.isotropic:
