@@ -109,10 +109,12 @@ class PdfDocument(BaseModel):
 
 
 class AlbedoDocument(BaseModel):
-    """Directional-hemispherical reflectance, one row per direction and one column per channel."""
+    """Directional-hemispherical reflectance, one row per direction and one column per channel; beside it
+    the transmittance, null for a model that transmits nothing."""
 
     channels: list[str]
     values: list[list[float | None]]
+    transmittance: list[list[float | None]] | None
 
 
 class FitRequest(FitSpec):
@@ -245,8 +247,15 @@ class FamilyDocument(BaseModel):
 
     name: str
     family: str
+    spec: dict[str, Any]
+    summary: str
     options: dict[str, list[str]] = Field(description="what each option may be, default first")
     max_lobes: int
+    anisotropic: bool = Field(description="whether there is an anisotropic form")
+    parts: list[str] = Field(description="prefixes of the parameters of the models it is built of")
+    fitted: bool = Field(description="whether it is fitted to tables; the others evaluate and sample")
+    reciprocal: bool
+    transmits: bool
     parameters: list[dict[str, Any]]
     values_schema: dict[str, Any] = Field(description="JSON schema of `values` in POST /v1/models")
 

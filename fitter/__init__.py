@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fitter import models, posterior
     from fitter.compression import CompressedTable, compress
     from fitter.fitting import FitResult, fit, load_fit
-    from fitter.formats import load, load_all
+    from fitter.formats import load, load_all, write
     from fitter.posterior import Posterior
     from fitter.sampling import Samples, TableSampler
     from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
@@ -27,6 +27,7 @@ __all__ = [
     "Channel", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid", "Metadata",
     "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
     "TableSampler", "__version__", "compress", "fit", "load", "load_all", "load_fit", "models", "posterior",
+    "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -34,6 +35,7 @@ _LAZY = {
     "CompressedTable": "fitter.compression", "compress": "fitter.compression",
     "FitResult": "fitter.fitting", "fit": "fitter.fitting", "load_fit": "fitter.fitting",
     "load": "fitter.formats", "load_all": "fitter.formats",
+    "write": "fitter.formats",
     "Posterior": "fitter.posterior",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",

@@ -22,6 +22,7 @@ Symmetry = Literal["isotropic", "anisotropic"]
 Quantity = Literal["brdf", "ccbrdf", "reflectance_factor"]
 QUANTITIES: tuple[Quantity, ...] = ("brdf", "ccbrdf", "reflectance_factor")
 
+
 @dataclass(frozen=True)
 class Channel:
     """One measured channel: its name and, where it is a line or a narrow band, its wavelength in nm."""

@@ -26,7 +26,8 @@ from api.rows import ModelRow
 from api.service import Here, Service
 from api.store import new_id
 from fitter.errors import SpecError
-from fitter.spec import FAMILIES, MAX_LOBES, OPTIONS, ModelSpec, model_spec
+from fitter.models.describe import default, describe
+from fitter.spec import OPTIONS, ModelSpec, model_spec
 
 router = APIRouter(tags=["models"])
 
@@ -81,7 +82,8 @@ def model(id: str, here: Here) -> dict[str, Any]:
     openapi_extra=array_request("wi", "wo"),
 )  # fmt: skip
 def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
-    """f_r without the cosine, 1/sr, at direction pairs; 0 where wo is below the horizon."""
+    """f without the cosine, 1/sr, at direction pairs; 0 where wo is below the horizon, unless the model
+    transmits. Ideal (delta) components are not part of it."""
     found = _model(here, id)
     wi, wo = read_pairs(request, body, here.settings.max_pairs)
     values = np.asarray(found.evaluate(*_padded(wi, wo)))[: len(wi)]
@@ -108,11 +110,13 @@ def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
     openapi_extra=array_request("wi"),
 )  # fmt: skip
 def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
-    """Directional-hemispherical reflectance."""
+    """Directional-hemispherical reflectance, and transmittance where the model has one."""
     found = _model(here, id)
     wi = read_incidences(request, body, here.settings.max_albedo_directions)
     values = np.asarray(found.albedo(wi))
-    return respond(request, {"channels": list(found.channels), "values": values}, values)
+    through = np.asarray(found.transmittance(wi)) if found.transmits(found.spec) else None
+    document = {"channels": list(found.channels), "values": values, "transmittance": through}
+    return respond(request, document, values)
 
 
 @router.post(
@@ -128,8 +132,9 @@ def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here)
 
 @router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
 def families() -> list[dict[str, Any]]:
-    """The models that can be fitted, each with its options and the parameters of its default form."""
-    return [_family(model_spec(name)) for name in FAMILIES]
+    """Every model there is, each with its options and the parameters of its default form; first those that
+    are fitted."""
+    return [_family(default(name)) for name in OPTIONS]
 
 
 @router.get("/v1/model-families/{name}", response_model=schemas.FamilyDocument, responses=problems(422))
@@ -139,9 +144,9 @@ def family(name: str) -> dict[str, Any]:
 
 
 def _family(spec: ModelSpec) -> dict[str, Any]:
-    table = [p.to_dict() for p in fitter.models.parameter_table(spec)]
+    described = describe(spec)
     properties: dict[str, Any] = {}
-    for p in table:
+    for p in described["parameters"]:
         number = {"type": "number", "minimum": p["lower"]}
         if p["upper"] is not None:
             number["maximum"] = p["upper"]
@@ -149,12 +154,8 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
             "oneOf": [number, {"type": "array", "items": number, "minItems": 1}],
             "default": p["default"], "description": f"{p['description']}, unit {p['unit']}",
         }  # fmt: skip
-    return {
-        "name": spec.name, "family": spec.family,
-        "options": {option: list(allowed) for option, allowed in OPTIONS[spec.family].items()},
-        "max_lobes": MAX_LOBES.get(spec.family, 1), "parameters": table,
-        "values_schema": {"type": "object", "properties": properties, "additionalProperties": False},
-    }  # fmt: skip
+    schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**described, "values_schema": schema}
 
 
 def _row(here: Service, id: str) -> ModelRow:

@@ -17,7 +17,8 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.fitting.layout import Layout
-from fitter.fitting.polish import Normal
+from fitter.fitting.order import azimuths
+from fitter.fitting.polish import Normal, bounds
 
 FloatArray = NDArray[np.float64]
 #: A direction whose scaled curvature is below this share of the largest is not identified.
@@ -26,6 +27,9 @@ SINGULAR = 1e-10
 NOTHING = 1e-7
 #: Samples a term has to live on, at least, for its parameters to be more than those samples' values.
 SUPPORT = 3.0
+#: Standard uncertainties that an anisotropy e has to differ from none for its azimuth psi to mean anything:
+#: (e cos 2 psi, e sin 2 psi) is what is measured, so that u(psi) = u(e)/(2 e).
+SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
@@ -50,32 +54,29 @@ def natural(
 ) -> Natural:  # fmt: skip
     """Estimates and covariance of one group from the vector p and its normal equations.
 
-    support : (K, C) samples each term lives on, see :func:`fitter.fitting.polish.support`.
+    support : (M, C) samples each inner entry lives on, see :func:`fitter.fitting.polish.support`.
     likelihood : whether the metric is the likelihood; the sandwich is used where it is not.
     """
-    t, c = len(layout.free), len(channels)
-    family, spec = layout.family, layout.spec
-    table = {q.name: q for q in family.parameter_table(spec)}
-    linear = [q.name for q in table.values() if q.linear]
-    shared = c > 1
+    t, c = len(layout.entries), len(channels)
+    linear = [q for q in layout.linear for _ in channels]
+    count = len(linear)
+    alone = None if c > 1 else channels[0]
     labels: list[tuple[str, int | None]] = [
-        *((name, channel) for name in linear for channel in channels),
-        *((name, None if shared else channels[0]) for name in layout.free),
+        *((q.name, channel) for q in layout.linear for channel in channels),
+        *((layout.free[k], alone if own is None else channels[own]) for k, own in layout.entries),
     ]
 
     p, matrix, free = _settled(layout, p, normal, c)
     values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
     cov, open_directions = _inverse(matrix, normal.scores, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
-    at_bound: list[str | None] = []
-    for (name, _), value in zip(labels, values, strict=True):
-        if name in layout.free:
-            k = layout.free.index(name)
-            low_end = 2 * p[k] < layout.lower[k] + layout.upper[k]
-            at_bound.append(None if free[k] else "lower" if low_end else "upper")
-        else:
-            q = table[name]
-            at_bound.append("lower" if value <= q.lower else "upper" if value >= q.upper else None)
+    low, high = layout.box
+    at_bound: list[str | None] = [
+        "lower" if value <= q.lower else "upper" if value >= q.upper else None
+        for q, value in zip(linear, values, strict=False)
+    ]
+    for k in range(t):
+        at_bound.append(None if free[k] else "lower" if 2 * p[k] < low[k] + high[k] else "upper")
     # A parameter is open if any of the directions that the data leave open moves it.
     moved = np.abs(jacobian @ open_directions)
     size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300
@@ -83,10 +84,14 @@ def natural(
     # A lobe between the samples fits any one of them: its curvature says nothing of its uncertainty.
     thin = (support < SUPPORT).reshape(-1) & (p[t:] > 0)
     reached = np.abs(jacobian[:, t:][:, thin]) * p[t:][thin] > 1e-3 * np.abs(values)[:, None]
-    narrow = [k for k in range(len(labels)) if reached[k].any()]
-    if narrow:
-        narrow += [k for k, (name, _) in enumerate(labels) if name in layout.free]
-    unidentified = sorted({*unidentified, *narrow})
+    narrow = [k for k in range(count) if reached[k].any()]
+    for k, (_, own) in enumerate(layout.entries):
+        if any(own is None or labels[n][1] == channels[own] for n in narrow):
+            narrow.append(count + k)
+    # The azimuth of a surface without a direction is anybody's.
+    directed = 1.0 / (2.0 * SIGNIFICANT)
+    turning = [count + int(e) for e in azimuths(layout) if not spread[count + e, count + e] < directed**2]
+    unidentified = sorted({*unidentified, *narrow, *turning})
     for k, bound in enumerate(at_bound):
         if bound is not None or k in unidentified:
             spread[k, :] = spread[:, k] = np.nan
@@ -102,16 +107,21 @@ def _settled(
     "On" and "flat" are judged by what the entry does to the fitted values, relative to their norm in its
     channel: coefficients have no scale of their own.
     """
-    t = len(layout.free)
+    t = len(layout.entries)
     p, matrix = p.copy(), normal.matrix.copy()
+    lower, upper = bounds(layout, len(p))
     effect = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
-    share = (p[t:] * effect[t:]).reshape(-1, c)
-    norm = np.maximum(share.max(axis=0), 1e-300)
-    p[t:] = np.where(share <= NOTHING * norm, 0.0, p[t:].reshape(-1, c)).reshape(-1)
-    low, high = layout.box
-    span = high - low
-    free = np.concatenate([(p[:t] > low + 1e-5 * span) & (p[:t] < high - 1e-5 * span), p[t:] > 0])
-    flat = np.concatenate([effect[:t] * span <= NOTHING * norm.max(), np.zeros(len(p) - t, bool)])
+    share = (np.abs(p[t:]) * effect[t:]).reshape(-1, c)
+    nothing = np.tile(NOTHING * np.maximum(share.max(axis=0), 1e-300), len(share))
+    # There is no upper bound to be on where it is infinite, even where the effect is 0.
+    bounded = np.isfinite(upper[t:])
+    beyond = np.where(bounded, upper[t:], p[t:]) - p[t:]
+    p[t:] = np.where(bounded & (beyond * effect[t:] <= nothing), upper[t:], p[t:])
+    p[t:] = np.where((p[t:] - lower[t:]) * effect[t:] <= nothing, lower[t:], p[t:])
+    span = upper[:t] - lower[:t]
+    inside = (p[:t] > lower[:t] + 1e-5 * span) & (p[:t] < upper[:t] - 1e-5 * span)
+    free = np.concatenate([inside, (p[t:] > lower[t:]) & (p[t:] < upper[t:])])
+    flat = np.concatenate([effect[:t] * span <= nothing.max(), np.zeros(len(p) - t, bool)])
     matrix[flat, :] = matrix[:, flat] = 0.0
     return p, matrix, free
 
@@ -119,15 +129,14 @@ def _settled(
 @functools.partial(jax.jit, static_argnames=("layout", "c"))
 def _to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
     """The parameters in their own units (Q,), linear ones first, and their derivatives (Q, P)."""
-    t = len(layout.free)
+    t = len(layout.entries)
+    logs = np.array([layout.logs[k] for k, _ in layout.entries], bool)
 
     def convert(vector: Array) -> tuple[Array, Array]:
-        u, b = vector[:t], vector[t:].reshape(-1, c)
-        found = layout.family.linear_from(layout.spec, list(b))
-        nonlinear = layout.nonlinear(u)
-        table = layout.family.parameter_table(layout.spec)
-        parts = [found[q.name] for q in table if q.linear] + [nonlinear[name][None] for name in layout.free]
-        values = jnp.concatenate(parts)
+        u, inner = vector[:t], vector[t:].reshape(-1, c)
+        found = layout.linear_values(u, inner)
+        nonlinear = jnp.where(logs, jnp.exp(jnp.where(logs, u, 0.0)), u)
+        values = jnp.concatenate([*(found[q.name] for q in layout.linear), nonlinear])
         return values, values
 
     jacobian, values = jax.jacfwd(convert, has_aux=True)(p)
@@ -159,4 +168,3 @@ def _inverse(
     directions[where] = vectors[:, weak] / scale[:, None]
     lengths = np.linalg.norm(directions, axis=0)
     return cov, directions / np.where(lengths > 0, lengths, 1.0)
-

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter import models, progress, spec
+from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError
 from fitter.fitting import nlopt_solver, search
 from fitter.fitting.covariance import natural
-from fitter.fitting.layout import Layout, channel_groups, layout, order_lobes, per_channel
+from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.metrics import linearised_weight
+from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import polish, support
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import BLOCK, Usable, usable
@@ -32,7 +34,6 @@ BASINS, NEAR = 5, 1.1
 def check(request: FitSpec) -> None:
     """Raise the SpecError that :func:`fit` would raise whatever the table: before a job is queued."""
     layout(request)
-    per_channel(request.model)
 
 
 def fit(
@@ -81,8 +82,9 @@ def fit(
     chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
     progress(0.0, "preparing samples")
-    data = usable(table, chosen, request.select)
-    groups = channel_groups(request.model, len(data.channels))
+    data = usable(table, chosen, request.select, anisotropic=not places.family.isotropic(request.model))
+    groups = channel_groups(request, len(data.channels))
+    places = layout(request, len(data.channels))
     _enough(data, places, len(groups[0]))
     clock.lap("prepare")
 
@@ -112,11 +114,11 @@ def _solve(
     # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
     blocks = [data.part(group, index, max(BLOCK, size), scale)]
     ends = [
-        polish(places, metric, floor, np.concatenate([b.u, b.coefficients.reshape(-1)]), blocks, 20)
+        polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
     ]
     best = min(end.normal.objective for end in ends)
-    near = [order_lobes(places, end.p) for end in ends if end.normal.objective <= NEAR * best]
+    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best]
     clock.lap("subset polish")
     full = data.blocks(group) if len(index) < len(data) else blocks
     passes = 0
@@ -126,6 +128,8 @@ def _solve(
         passes = sum(end.passes for end in rivals)
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
     end = finish(places, metric, floor, near[0], full)
+    p, normal = order_axes(places, end.p, end.normal)
+    end = replace(end, p=p, normal=normal)
     clock.lap("polish")
     if not np.isfinite(end.normal.objective):
         raise FitError(
@@ -134,16 +138,13 @@ def _solve(
         )  # fmt: skip
     positions = [data.channels[c] for c in group]
     lives_on = support(places, metric, floor, end.p, full)
-    estimates = natural(
-        places, end.p, end.normal, lives_on, positions, len(data), metric == "measurement"
-    )
+    estimates = natural(places, end.p, end.normal, lives_on, positions, len(data), metric == "measurement")
     clock.lap("uncertainty")
     return Group(end, estimates, evidence, len(index), passes + end.passes)
 
 
 def _enough(data: Usable, places: Layout, per_group: int) -> None:
-    linear = sum(p.linear for p in models.parameter_table(places.spec))
-    parameters = len(places.free) + linear * per_group
+    parameters = len(places.entries) + len(places.linear) * per_group
     values = len(data) * per_group
     if values < parameters:
         raise FitError(

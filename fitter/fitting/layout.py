@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,20 +14,25 @@ from numpy.typing import NDArray
 
 from fitter import models
 from fitter.errors import SpecError
-from fitter.models.base import ReflectanceModel
+from fitter.models.base import SeparableModel
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
-from fitter.spec import FitSpec, ModelSpec
+from fitter.spec import FAMILIES, FitSpec, ModelSpec
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Nonlinear parameters of one group of channels, hashable, so that it can key compiled programs.
+    """Parameters of one group of channels, hashable, so that it can key compiled programs.
 
-    Solvers see the T *free* nonlinear parameters in their search coordinate: the logarithm where the
-    parameter table says so. The K coefficients of the terms are apart, (K, C).
+    ``free`` names the F free nonlinear parameters. Solvers see them as u (T,), in their search coordinate
+    (the logarithm where the parameter table says so): one entry for a parameter that the channels of the
+    group share, C neighbours for one that each channel has for itself (``own``).
+
+    Behind u lies the inner vector (M, C): the coefficients of the terms where they are free, M = K, and
+    otherwise the linear parameters that they are functions of.
     """
 
     spec: ModelSpec
@@ -34,31 +41,100 @@ class Layout:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     logs: tuple[bool, ...]
+    own: tuple[bool, ...]
+    #: Channels of the group; 1 where no parameter is any channel's own, since nothing depends on it then.
+    channels: int = 1
 
     @property
-    def family(self) -> type[ReflectanceModel]:
-        return models.family_of(self.spec)
+    def family(self) -> type[SeparableModel]:
+        return _separable(self.spec)
 
-    def nonlinear(self, u: Array) -> dict[str, Array]:
-        """Name -> value in the parameter's own unit, from search coordinates u (T,)."""
-        found = {name: jnp.asarray(value, u.dtype) for name, value in self.fixed}
-        for k, (name, log) in enumerate(zip(self.free, self.logs, strict=True)):
-            found[name] = jnp.exp(u[k]) if log else u[k]
-        return found
+    @property
+    def mixed(self) -> bool:
+        """Whether some parameters belong to single channels of the group."""
+        return any(self.own)
 
-    def terms(self, u: Array, pair: Array) -> Array:
-        """(K, n) terms at pairs (6, n)."""
-        return jnp.stack(self.family.terms(self.spec, self.nonlinear(u), Pair(*pair)))
+    @property
+    def coefficients_are_free(self) -> bool:
+        return self.family.coefficients_are_free(self.spec)
+
+    @functools.cached_property
+    def linear(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.family.parameter_table(self.spec) if p.linear)
+
+    @functools.cached_property
+    def entries(self) -> tuple[tuple[int, int | None], ...]:
+        """Per entry of u its position in ``free``, and its channel in the group or None where shared."""
+        return tuple(
+            (k, c) for k, own in enumerate(self.own) for c in (range(self.channels) if own else (None,))
+        )
+
+    @functools.cached_property
+    def where(self) -> IntArray:
+        """(C, F) positions in u of each channel's parameters."""
+        index = {entry: position for position, entry in enumerate(self.entries)}
+        rows = [
+            [index[k, c if own else None] for k, own in enumerate(self.own)] for c in range(self.channels)
+        ]
+        return np.array(rows, np.intp).reshape(self.channels, len(self.free))
+
+    @property
+    def alone(self) -> Layout:
+        """The layout of a single channel of the group."""
+        return dataclasses.replace(self, own=(False,) * len(self.free), channels=1)
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Bounds (T,) in search coordinates."""
-        return np.array(self.lower, float), np.array(self.upper, float)
+        names = [k for k, _ in self.entries]
+        return np.array(self.lower, float)[names], np.array(self.upper, float)[names]
+
+    @property
+    def inner_box(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of a channel's linear parameters (L,), where the coefficients are not free."""
+        return np.array([p.lower for p in self.linear]), np.array([p.upper for p in self.linear])
+
+    def nonlinear(self, u: Array) -> dict[str, Array]:
+        """Name -> value in the parameter's own unit, () or (C,), from search coordinates u (T,)."""
+        found = {name: jnp.asarray(value, u.dtype) for name, value in self.fixed}
+        for k, (name, log) in enumerate(zip(self.free, self.logs, strict=True)):
+            value = u[self.where[:, k]] if self.own[k] else u[self.where[0, k]]
+            found[name] = jnp.exp(value) if log else value
+        return found
+
+    def terms(self, u: Array, pair: Array) -> Array:
+        """Terms at pairs (6, n): (K, n), or (C, K, n) where channels have parameters of their own."""
+        nonlinear = self.nonlinear(u)
+        if not self.mixed:
+            return jnp.stack(self.family.terms(self.spec, nonlinear, Pair(*pair)))
+        wide = Pair(*(component[:, None] for component in pair))
+        found = self.family.terms(self.spec, nonlinear, wide)
+        shape = (pair.shape[1], self.channels)
+        return jnp.stack([jnp.broadcast_to(term, shape).T for term in found], axis=1)
+
+    def coefficients(self, u: Array, inner: Array) -> Array:
+        """The coefficients (K, C) that the inner vector (M, C) stands for."""
+        if self.coefficients_are_free:
+            return inner
+        linear = {p.name: row for p, row in zip(self.linear, inner, strict=True)}
+        found = self.family.coefficients(self.spec, linear, self.nonlinear(u))
+        return jnp.stack([jnp.broadcast_to(b, inner.shape[1:]) for b in found])
+
+    def linear_values(self, u: Array, inner: Array) -> dict[str, Array]:
+        """The linear parameters, (C,) each, that the inner vector (M, C) stands for."""
+        if self.coefficients_are_free:
+            return self.family.linear_from(self.spec, list(inner), self.nonlinear(u))
+        return {p.name: row for p, row in zip(self.linear, inner, strict=True)}
 
 
-def layout(fit: FitSpec) -> Layout:
-    """The layout of a fit. Raises SpecError naming the parameter of a bad ``fixed`` or ``bounds``."""
-    table = {p.name: p for p in models.parameter_table(fit.model)}
+def layout(fit: FitSpec, channels: int = 1) -> Layout:
+    """The layout of each group (:func:`channel_groups`) of a fit of a table with this many channels.
+
+    Raises SpecError naming the parameter of a bad ``fixed``, ``bounds`` or ``per_channel``, or the model
+    where it can't be fitted.
+    """
+    table = {p.name: p for p in _separable(fit.model).parameter_table(fit.model)}
+    each = _per_channel(fit.model, table)
     nonlinear = [p for p in table.values() if not p.linear]
     for name, value in fit.fixed.items():
         p = _nonlinear(table, name, "fixed")
@@ -81,73 +157,58 @@ def layout(fit: FitSpec) -> Layout:
     for p in nonlinear:
         if p.name in fit.fixed:
             continue
-        lower, upper = fit.bounds.get(p.name, (p.lower, p.upper))
-        if not p.lower <= lower < upper <= p.upper:
+        lower, upper = fit.bounds.get(p.name, p.searched)
+        log = p.search == "log"
+        if not p.lower <= lower < upper <= p.upper or (log and lower <= 0):
             raise SpecError(
                 f"bounds {lower:g} to {upper:g} of {p.name} don't lie in {p.lower:g} to {p.upper:g}",
-                code="bad-bounds", parameter=p.name, remedy="give lower < upper inside that range",
+                code="bad-bounds", parameter=p.name,
+                remedy=f"give {'0 < ' if log else ''}lower < upper inside that range",
             )  # fmt: skip
-        log = p.search == "log"
         free.append(p.name)
         logs.append(log)
         low.append(float(np.log(lower) if log else lower))
         high.append(float(np.log(upper) if log else upper))
+    own = tuple(name in each for name in free)
+    # A channel whose parameters are all its own is a group by itself.
+    mixed = channels > 1 and any(own) and not all(own)
     return Layout(
-        fit.model, tuple(free), tuple(sorted(fit.fixed.items())), tuple(low), tuple(high), tuple(logs)
-    )
+        fit.model, tuple(free), tuple(sorted(fit.fixed.items())), tuple(low), tuple(high), tuple(logs),
+        own if mixed else (False,) * len(free), channels if mixed else 1,
+    )  # fmt: skip
 
 
-def interchangeable(layout: Layout) -> list[list[int]] | None:
-    """Positions in u of each lobe's own parameters, or None unless there are several lobes all alike."""
-    count = layout.spec.lobes
-    suffixes = [f"_{lobe + 1}" for lobe in range(count)]
-    own = [[k for k, name in enumerate(layout.free) if name.endswith(suffix)] for suffix in suffixes]
-    kinds = {
-        tuple((layout.free[k].rpartition("_")[0], layout.lower[k], layout.upper[k]) for k in ks) for ks in own
-    }
-    return own if count > 1 and len(kinds) == 1 and own[0] else None
-
-
-def order_lobes(layout: Layout, p: FloatArray) -> FloatArray:
-    """The vector p with interchangeable lobes ordered from broad to narrow. Only labels change."""
-    own, count, t = interchangeable(layout), layout.spec.lobes, len(layout.free)
-    exponents = [k for k, name in enumerate(layout.free) if name.startswith("n_")]
-    if own is None or len(exponents) != count:
-        return p
-    order = np.argsort(p[exponents], kind="stable")
-    u = p[:t].copy()
-    for place, lobe in enumerate(order):
-        u[own[place]] = p[own[lobe]]
-    first = int(layout.spec.diffuse == "lambert")
-    b = p[t:].reshape(first + count, -1)
-    return np.concatenate([u, b[:first].reshape(-1), b[first:][order].reshape(-1)])
-
-
-def channel_groups(spec: ModelSpec, channels: int) -> list[list[int]]:
-    """The channels that share their nonlinear parameters, and so are solved together."""
+def channel_groups(fit: FitSpec, channels: int) -> list[list[int]]:
+    """The channels that share nonlinear parameters, and so are solved together."""
+    table = {p.name: p for p in _separable(fit.model).parameter_table(fit.model)}
+    each = _per_channel(fit.model, table)
+    free = [p.name for p in table.values() if not p.linear and p.name not in fit.fixed]
     every = list(range(channels))
-    return [[c] for c in every] if per_channel(spec) else [every]
+    return [[c] for c in every] if free and each.issuperset(free) else [every]
 
 
-def per_channel(spec: ModelSpec) -> bool:
-    """Whether each channel has nonlinear parameters of its own. Raises SpecError on a mixture."""
-    table = [p for p in models.parameter_table(spec) if not p.linear]
+def _separable(spec: ModelSpec) -> type[SeparableModel]:
+    kind = models.family_of(spec)
+    if not issubclass(kind, SeparableModel):
+        raise SpecError(
+            f"{spec.name} can be evaluated and sampled, not fitted", code="not-fitted", parameter="model",
+            remedy=f"fit one of {', '.join(FAMILIES)}",
+        )  # fmt: skip
+    return kind
+
+
+def _per_channel(spec: ModelSpec, table: Mapping[str, Parameter]) -> frozenset[str]:
+    """The nonlinear parameters that each channel has for itself. Raises SpecError on an unknown name."""
+    names = [p.name for p in table.values() if not p.linear]
     if spec.per_channel is None:
-        return any(p.per_channel for p in table)
-    names = {p.name for p in table}
-    unknown = set(spec.per_channel) - names
+        return frozenset(name for name in names if table[name].per_channel)
+    unknown = sorted(set(spec.per_channel) - set(names))
     if unknown:
         raise SpecError(
-            f"{spec.name} has no nonlinear parameter {sorted(unknown)[0]!r}", code="unknown-parameter",
+            f"{spec.name} has no nonlinear parameter {unknown[0]!r}", code="unknown-parameter",
             parameter="per_channel", remedy=f"its nonlinear parameters are {', '.join(sorted(names))}",
         )  # fmt: skip
-    if spec.per_channel and set(spec.per_channel) != names:
-        raise SpecError(
-            "some nonlinear parameters per channel and others shared is not supported yet",
-            code="mixed-per-channel", parameter="per_channel",
-            remedy=f"name all of {', '.join(sorted(names))}, or none",
-        )  # fmt: skip
-    return bool(spec.per_channel)
+    return frozenset(spec.per_channel)
 
 
 def _nonlinear(table: Mapping[str, Parameter], name: str, where: str) -> Parameter:

@@ -30,7 +30,7 @@ def search(
     layout: Layout, pair: FloatArray, y: FloatArray, weight: FloatArray, starts: int | None, seed: int
 ) -> tuple[list[Basin], dict[str, Any]]:
     """Multi-level single linkage (DIRECT-L for one parameter) on the reduced problem, then SBPLX."""
-    t = len(layout.free)
+    t = len(layout.entries)
     low, high = layout.box
     reduced = jax.jit(lambda u: jnp.sum(jnp.square(separable.residuals(layout, u, pair, y, weight))))
     evaluations = 0
@@ -61,7 +61,7 @@ def search(
             method.set_min_objective(objective)
             z = method.optimize(z)
     u = low + (high - low) * z
-    b = np.asarray(separable.coefficients(layout, jnp.asarray(u), pair, y, weight))
+    b = np.asarray(separable.inner(layout, jnp.asarray(u), pair, y, weight))
     best = float(reduced(jnp.asarray(u)))
     return [Basin(u, b, best)], {"candidates": evaluations, "starts": 1, "agree": 1, "second_basin": None}
 

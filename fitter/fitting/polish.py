@@ -1,7 +1,7 @@
 """Safeguarded Gauss-Newton passes over the full table, accumulated in chunks on all cores.
 
 One pass evaluates the model and its derivatives once and keeps only the normal equations: no N x P
-Jacobian ever exists. The vector is p = [u (T,), coefficients (K, C) flattened].
+Jacobian ever exists. The vector is p = [u (T,), inner (M, C) flattened], see :class:`Layout`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jax import Array
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from fitter.fitting import metrics
+from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
 from fitter.fitting.samples import Block
 from fitter.spec import Metric
@@ -48,11 +48,11 @@ class Normal(NamedTuple):
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
 def _accumulate(
-    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, block_pair: Array, y: Array,
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block_pair: Array, y: Array,
     goal: Array, w: Array, chunks: Array,
 ) -> tuple[Array, ...]:  # fmt: skip
     """Sums over the first ``chunks`` chunks of a block: a traced count, so that one program serves all."""
-    t, (k, c) = len(layout.free), b.shape
+    (m, c), own = inner.shape, len(layout.free)
 
     def step(index: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         start = index * CHUNK
@@ -60,19 +60,15 @@ def _accumulate(
         y_ = jax.lax.dynamic_slice_in_dim(y, start, CHUNK)
         goal_ = jax.lax.dynamic_slice_in_dim(goal, start, CHUNK)
         w_ = jax.lax.dynamic_slice_in_dim(w, start, CHUNK)
-        terms = layout.terms(u, pair)
-        slopes = jax.jacfwd(lambda v: layout.terms(v, pair))(u) if t else jnp.zeros((*terms.shape, 0))
-        f = jnp.einsum("kn,kc->nc", terms, b)
+        f, columns = _columns(layout, u, inner, pair)
         r = metrics.residual(metric, f, goal_, w_, floor)
         used = w_ != 0
         value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
-
-        def columns(b_c: Array, slope_c: Array) -> Array:
-            return jnp.concatenate([jnp.einsum("knt,k->tn", slopes, b_c), terms]) * slope_c
-
-        x = jax.vmap(columns, in_axes=(1, 1))(b, slope)  # (C, T + K, n)
+        x = columns(slope)  # (C, F + M, n)
         scores = x * value.T[:, None, :]
-        flat = jnp.concatenate([scores[:, :t].sum(0), scores[:, t:].transpose(1, 0, 2).reshape(k * c, CHUNK)])
+        flat = jnp.concatenate(
+            [_gathered(layout, scores[:, :own]), scores[:, own:].transpose(1, 0, 2).reshape(m * c, CHUNK)]
+        )
         plain = jnp.where(used, f - y_, 0.0)
         relative = plain / (jnp.abs(y_) + 10.0 * floor)
         parts = (
@@ -81,7 +77,7 @@ def _accumulate(
         )  # fmt: skip
         return tuple(a + p for a, p in zip(carry, parts, strict=True))
 
-    p, size = t + k, t + k * c
+    p, size = own + m, len(layout.entries) + m * c
     zero = (
         jnp.zeros((c, p, p)), jnp.zeros((c, p)), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()),
         jnp.zeros((size, size)),
@@ -89,26 +85,70 @@ def _accumulate(
     return jax.lax.fori_loop(0, chunks, step, zero)
 
 
+def _columns(
+    layout: Layout, u: Array, inner: Array, pair: Array, by_u: bool = True
+) -> tuple[Array, Callable[[Array], Array]]:
+    """The values (n, C) at pairs (6, n), and what makes of slopes (n, C) the derivatives (C, F + M, n) of
+    each channel by its own F nonlinear parameters, where ``by_u``, and by its M inner entries."""
+    t, alone = len(layout.free) if by_u else 0, layout.alone
+    terms = layout.terms(u, pair)
+    b = layout.coefficients(u, inner)
+    f = separable.model(layout, terms, b)
+    local = u[layout.where] if layout.mixed else u  # (C, F), or (F,) the same for all
+    each = 0 if layout.mixed else None
+
+    def by_parameters(v: Array) -> Array:
+        return jax.jacfwd(lambda v_: alone.terms(v_, pair))(v)
+
+    if not t:
+        slopes = jnp.zeros((*terms.shape, 0))
+    else:
+        slopes = jax.vmap(by_parameters)(local) if layout.mixed else by_parameters(local)
+
+    def free(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array) -> Array:
+        return jnp.concatenate([jnp.einsum("knt,k->tn", slopes_c, b_c), terms_c]) * slope_c
+
+    def bound(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array, v: Array, l_c: Array) -> Array:
+        by_v, by_l = jax.jacfwd(lambda v_, l_: alone.coefficients(v_, l_[:, None])[:, 0], (0, 1))(v, l_c)
+        through = jnp.einsum("kn,kt->tn", terms_c, jnp.concatenate([by_v[:, :t], by_l], axis=1))
+        return through.at[:t].add(jnp.einsum("knt,k->tn", slopes_c, b_c)) * slope_c
+
+    def columns(slope: Array) -> Array:
+        if layout.coefficients_are_free:
+            return jax.vmap(free, in_axes=(each, each, 1, 1))(terms, slopes, b, slope)
+        return jax.vmap(bound, in_axes=(each, each, 1, 1, each, 1))(terms, slopes, b, slope, local, inner)
+
+    return f, columns
+
+
+def _gathered(layout: Layout, scores: Array) -> Array:
+    """(T, n) scores of the entries of u, from those of the channels' parameters (C, F, n)."""
+    if not layout.mixed:
+        return scores.sum(0)
+    rows = jnp.zeros((len(layout.entries), scores.shape[2]))
+    return rows.at[layout.where].add(scores)
+
+
 def normal_equations(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
 ) -> Normal:
     """The sums over all blocks at the vector p."""
-    t, c = len(layout.free), blocks[0].y.shape[1]
-    u, b = p[:t], p[t:].reshape(-1, c)
+    t, c = len(layout.entries), blocks[0].y.shape[1]
+    u, inner = p[:t], p[t:].reshape(-1, c)
 
     def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)
         data = (block.pair, block.y, block.goal, block.weight)
-        found = _accumulate(layout, metric, u, b, floor, *data, chunks)
+        found = _accumulate(layout, metric, u, inner, floor, *data, chunks)
         return [np.asarray(part) for part in found]
 
     parts = _each(one, blocks)
     sums = [np.sum([part[i] for part in parts], axis=0) for i in range(len(parts[0]))]
-    k = b.shape[0]
-    size = t + k * c
+    size = len(p)
     matrix, rhs = np.zeros((size, size)), np.zeros(size)
     for channel in range(c):
-        where = np.concatenate([np.arange(t), t + np.arange(k) * c + channel])
+        own = layout.where[channel if layout.mixed else 0]
+        where = np.concatenate([own, t + np.arange(len(inner)) * c + channel])
         matrix[np.ix_(where, where)] += sums[0][channel]
         rhs[where] += sums[1][channel]
     return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5])
@@ -116,16 +156,16 @@ def normal_equations(
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
 def _moments(
-    layout: Layout, metric: Metric, u: Array, b: Array, floor: Array, pair: Array, goal: Array, w: Array
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, pair: Array, goal: Array, w: Array
 ) -> Array:
-    """(2, K, C) sums of the second and fourth powers of the weighted terms of one block."""
+    """(2, M, C) sums of the second and fourth powers of the weighted derivatives by the inner vector."""
 
     def one(item: tuple[Array, Array, Array]) -> Array:
         pair_, goal_, w_ = item
-        terms = layout.terms(u, pair_)
-        slope = metrics.residual(metric, jnp.einsum("kn,kc->nc", terms, b), goal_, w_, floor).slope
-        energy = jnp.square(terms[:, :, None] * jnp.where(w_ != 0, slope, 0.0))
-        return jnp.stack([energy.sum(axis=1), jnp.square(energy).sum(axis=1)])
+        f, columns = _columns(layout, u, inner, pair_, by_u=False)
+        slope = metrics.residual(metric, f, goal_, w_, floor).slope
+        energy = jnp.square(columns(jnp.where(w_ != 0, slope, 0.0)))
+        return jnp.stack([energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T])
 
     count = w.shape[0] // CHUNK
     pairs = pair.reshape(6, count, CHUNK).transpose(1, 0, 2)
@@ -144,13 +184,14 @@ def _each(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
 def support(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
 ) -> FloatArray:
-    """(K, C) on how many samples each term effectively lives: (sum x^2)^2 / sum x^4 of the weighted term x,
-    1 where one sample carries it all. In a pass of its own: in every pass it would cost two thirds more."""
-    t, c = len(layout.free), blocks[0].y.shape[1]
-    u, b = p[:t], p[t:].reshape(-1, c)
+    """(M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the weighted
+    derivative x, 1 where one sample carries it all. In a pass of its own: in every pass it would cost two
+    thirds more."""
+    t, c = len(layout.entries), blocks[0].y.shape[1]
+    u, inner = p[:t], p[t:].reshape(-1, c)
 
     def one(block: Block) -> FloatArray:
-        found = _moments(layout, metric, u, b, floor, block.pair, block.goal, block.weight)
+        found = _moments(layout, metric, u, inner, floor, block.pair, block.goal, block.weight)
         return np.asarray(found)
 
     second, fourth = np.sum(_each(one, blocks), axis=0)
@@ -171,7 +212,7 @@ def polish(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
     max_passes: int = MAX_PASSES,
 ) -> Polished:  # fmt: skip
-    """Levenberg-Marquardt on [u, coefficients] with bounds kept by an active set in every step.
+    """Levenberg-Marquardt on p = [u, inner] with bounds kept by an active set in every step.
 
     The part of the Hessian that Gauss-Newton leaves out is learned from the gradients (Dennis, Gay and
     Welsch 1981, NL2SOL): without it a model that fits badly takes fifty passes instead of eight. A step
@@ -221,10 +262,13 @@ def _second_order(rest: FloatArray, before: Normal, after: Normal, step: FloatAr
 
 
 def bounds(layout: Layout, size: int) -> tuple[FloatArray, FloatArray]:
-    """Bounds of the whole vector: the box of u, and coefficients >= 0."""
+    """Bounds of the whole vector: the box of u, and coefficients >= 0 or the box of what they depend on."""
     low, high = layout.box
-    rest = size - len(layout.free)
-    return np.concatenate([low, np.zeros(rest)]), np.concatenate([high, np.full(rest, np.inf)])
+    rest = size - len(low)
+    if layout.coefficients_are_free:
+        return np.concatenate([low, np.zeros(rest)]), np.concatenate([high, np.full(rest, np.inf)])
+    sides = [np.repeat(side, rest // len(side)) for side in layout.inner_box]
+    return np.concatenate([low, sides[0]]), np.concatenate([high, sides[1]])
 
 
 def _step(

@@ -109,8 +109,13 @@ class Usable:
         return index, times / (size * p[index])
 
 
-def usable(table: Table, metric: Metric, select: Select) -> Usable:
-    """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError."""
+def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = False) -> Usable:
+    """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError.
+
+    ``anisotropic`` : of the model. The directions of an isotropic table are one representative each of all
+    azimuths; such a model then gets them turned about the normal, evenly, or it would read meaning into the
+    azimuth that the table happens to be written in.
+    """
     names = [c.name for c in table.channels]
     for name in select.channels or ():
         if name not in names:
@@ -155,6 +160,8 @@ def usable(table: Table, metric: Metric, select: Select) -> Usable:
             "all values are zero", code="nothing-to-fit", cause="a table of fill values",
             remedy="check the value columns",
         )  # fmt: skip
+    if anisotropic and table.symmetry == "isotropic":
+        wi, wo = _turned(wi, wo)
     weight = metrics.base_weights(metric, value, sigma, wi[:, 2])
     # Sums of fourth powers have to stay numbers.
     largest = max(float(np.abs(value).max()), float(np.abs(weight * value).max()))
@@ -174,6 +181,17 @@ def usable(table: Table, metric: Metric, select: Select) -> Usable:
         channels=channels,
         left_out={why: n for why, n in left_out.items() if n},
     )
+
+
+def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pairs (n, 3) turned about the normal, each by the golden section of a turn more than the one before."""
+    angle = 2 * np.pi * np.mod(np.arange(len(wi)) * (0.5 * (np.sqrt(5.0) - 1.0)), 1.0)
+    c, s = np.cos(angle), np.sin(angle)
+
+    def turn(w: FloatArray) -> FloatArray:
+        return np.stack([c * w[:, 0] - s * w[:, 1], s * w[:, 0] + c * w[:, 1], w[:, 2]], axis=1)
+
+    return turn(wi), turn(wo)
 
 
 def _scale(column: FloatArray) -> float:

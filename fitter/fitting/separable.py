@@ -1,7 +1,8 @@
 """The linear inside of a separable fit: non-negative coefficients for given nonlinear parameters.
 
 Golub and Pereyra 1973: with f = sum_k b_k t_k(u) the best b for given u is a small linear problem, and the
-objective left over depends on u alone. Here b >= 0, solved exactly by trying all 2^K supports (K <= 4).
+objective left over depends on u alone. Here b >= 0, solved exactly by trying all 2^K supports (K <= 4);
+where the coefficients are not free, :mod:`fitter.fitting.curve` takes its place.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import optimistix as optx
 from jax import Array
 from jax.scipy.linalg import cho_factor, cho_solve
 
+from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import Layout
 
 #: Relative ridge on the scaled normal matrix: below it columns are the same column.
@@ -43,57 +45,80 @@ def non_negative(gram: Array, rhs: Array) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames="layout")
-def coefficients(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
-    """The best coefficients (K, C) at search coordinates u, for y and weight (n, C)."""
+def inner(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
+    """The best inner vector (M, C) at search coordinates u, for y and weight (n, C)."""
     terms = layout.terms(u, pair)
 
-    def one(y_c: Array, w_c: Array) -> Array:
-        a = terms * w_c
-        return non_negative(a @ a.T, a @ (w_c * y_c))
+    def normal(terms_c: Array, y_c: Array, w_c: Array) -> tuple[Array, Array]:
+        a = terms_c * w_c
+        return a @ a.T, a @ (w_c * y_c)
 
-    return jax.vmap(one, in_axes=1, out_axes=1)(y, weight)
+    each = 0 if layout.mixed else None
+    if layout.coefficients_are_free:
+
+        def one(terms_c: Array, y_c: Array, w_c: Array) -> Array:
+            return non_negative(*normal(terms_c, y_c, w_c))
+
+        return jax.vmap(one, in_axes=(each, 1, 1), out_axes=1)(terms, y, weight)
+
+    def on_curve(u_c: Array, terms_c: Array, y_c: Array, w_c: Array) -> Array:
+        return best_on_curve(layout.alone, u_c, *normal(terms_c, y_c, w_c))
+
+    own = u[layout.where] if layout.mixed else u
+    return jax.vmap(on_curve, in_axes=(each, each, 1, 1), out_axes=1)(own, terms, y, weight)
+
+
+def model(layout: Layout, terms: Array, coefficients: Array) -> Array:
+    """(n, C) the values of the model from its terms and coefficients (K, C)."""
+    return jnp.einsum("ckn,kc->nc" if layout.mixed else "kn,kc->nc", terms, coefficients)
 
 
 @functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
-    b = coefficients(layout, u, pair, y, weight)
-    return weight * (jnp.einsum("kn,kc->nc", layout.terms(u, pair), b) - y)
+    b = layout.coefficients(u, inner(layout, u, pair, y, weight))
+    return weight * (model(layout, layout.terms(u, pair), b) - y)
 
 
 @functools.partial(jax.jit, static_argnames="layout")
 def screen(layout: Layout, candidates: Array, pair: Array, y: Array, weight: Array) -> Array:
-    """Reduced objective (S,) at candidates (S, T). One after the other: a batch would not fit the cache."""
-    return jax.lax.map(lambda u: jnp.sum(jnp.square(residuals(layout, u, pair, y, weight))), candidates)
+    """Reduced objective (S, C) of each channel at candidates (S, T). One after the other: a batch would not
+    fit the cache."""
+    return jax.lax.map(
+        lambda u: jnp.sum(jnp.square(residuals(layout, u, pair, y, weight)), axis=0), candidates
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "steps"))
 def solve_many(
-    layout: Layout, starts: Array, pair: Array, y: Array, weight: Array, steps: int = 60
-) -> tuple[Array, Array, Array]:
+    layout: Layout, starts: Array, pair: Array, y: Array, weight: Array, steps: int = 60,
+    moving: Array | None = None,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Levenberg-Marquardt (optimistix) on the reduced problem from each start (S, T).
 
-    Returns u (S, T), objective (S,), coefficients (S, K, C). The box becomes the whole line by a
-    sigmoid, so that every step stays inside. Residuals are scaled to a sum of squares of order 1: in
-    absolute units LM's own tolerances stop it early on a million residuals.
+    Returns u (S, T), objective (S,), inner vectors (S, M, C). The box becomes the whole line by a sigmoid, so
+    that every step stays inside. Residuals are scaled to a sum of squares of order 1: in absolute units LM's
+    own tolerances stop it early on a million residuals. ``moving`` : (T,) False for entries to be held.
     """
     low, high = (jnp.asarray(side) for side in layout.box)
     total = jnp.sqrt(jnp.maximum(jnp.sum(jnp.square(weight * y)), 1e-300))
     solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-10)
 
-    def inside(z: Array) -> Array:
-        return low + (high - low) * jax.nn.sigmoid(z)
-
-    def scaled(z: Array, args: None) -> Array:
-        del args
-        return residuals(layout, inside(z), pair, y, weight).reshape(-1) / total
-
     def one(u0: Array) -> tuple[Array, Array, Array]:
         share = jnp.clip((u0 - low) / (high - low), 1e-3, 1.0 - 1e-3)
         z0 = jnp.log(share) - jnp.log1p(-share)
+
+        def inside(z: Array) -> Array:
+            u = low + (high - low) * jax.nn.sigmoid(z)
+            return u if moving is None else jnp.where(moving, u, u0)
+
+        def scaled(z: Array, args: None) -> Array:
+            del args
+            return residuals(layout, inside(z), pair, y, weight).reshape(-1) / total
+
         found = optx.least_squares(scaled, solver, z0, max_steps=steps, throw=False)
         u = inside(found.value)
         objective = jnp.sum(jnp.square(scaled(found.value, None))) * total * total
-        return u, objective, coefficients(layout, u, pair, y, weight)
+        return u, objective, inner(layout, u, pair, y, weight)
 
     return jax.lax.map(one, starts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from fitter import models
 from fitter._version import __version__
 from fitter.fitting.covariance import Natural
+from fitter.fitting.energy import LargestAlbedo, largest_albedo
 from fitter.fitting.polish import Polished
 from fitter.fitting.result import Estimate, FitResult
 from fitter.fitting.samples import Usable
@@ -54,7 +56,6 @@ def write_up(
 ) -> FitResult:  # fmt: skip
     """The FitResult of the solved groups; ``reduction`` says how the table was made smaller."""
     names = tuple(table.channels[c].name for c in data.channels)
-    shared = len(groups) == 1 and len(names) > 1
     table_rows = models.parameter_table(request.model)
     slots: dict[tuple[str, int | None], tuple[int, int]] = {}
     for g, group in enumerate(solved):
@@ -69,13 +70,13 @@ def write_up(
             value = np.asarray(request.fixed[p.name])
             parameters[p.name] = Estimate(value, np.asarray(np.nan), p.unit, p.description, (None,))
             continue
-        common = shared and not p.linear
-        keys = [(p.name, None if common else c) for c in (data.channels[:1] if common else data.channels)]
+        common = (p.name, None) in slots
+        keys = [(p.name, None)] if common else [(p.name, c) for c in data.channels]
         found = [slots[key] for key in keys]
         value = np.array([solved[g].estimates.values[k] for g, k in found])
         u = np.sqrt(np.array([solved[g].estimates.covariance[k, k] for g, k in found]))
         ends = tuple(solved[g].estimates.at_bound[k] for g, k in found)
-        scalar = len(keys) == 1 and (not p.linear) and (shared or len(names) == 1)
+        scalar = not p.linear and (common or len(names) == 1)
         y, uncertainty = (np.asarray(a[0] if scalar else a) for a in (value, u))
         parameters[p.name] = Estimate(y, uncertainty, p.unit, p.description, ends)
         labels += [p.name if scalar or c is None else f"{p.name}[{table.channels[c].name}]" for _, c in keys]
@@ -89,7 +90,10 @@ def write_up(
     kind = models.family_of(request.model)
     values = {name: jnp.asarray(e.value) for name, e in parameters.items()}
     model = kind(spec=request.model, channels=names, values=values)
-    status, message, warnings = _verdict(request, names, groups, solved, data, table)
+    cos_i = np.clip(data.pair[2], 0.0, 1.0)
+    albedo = largest_albedo(model, (float(np.arccos(cos_i.max())), float(np.arccos(cos_i.min()))))
+    clock.lap("energy")
+    status, message, warnings = _verdict(request, names, groups, solved, data, table, albedo)
     used = {"fitted": len(data), "subset": max(s.subset for s in solved), "left_out": data.left_out}
     clock.lap("write up")
     return FitResult(
@@ -108,6 +112,10 @@ def write_up(
                 {"channels": [names[c] for c in group], **s.evidence}
                 for group, s in zip(groups, solved, strict=True)
             ],
+            "largest_albedo": {
+                "value": albedo.value, "channel": names[albedo.channel],
+                "theta_i_deg": math.degrees(albedo.theta_i), "phi_i_deg": math.degrees(albedo.phi_i),
+            },
         },
         cost={
             "seconds": float(sum(clock.phases.values())),
@@ -146,8 +154,8 @@ def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list
 
 def _verdict(
     request: FitSpec, names: Sequence[str], groups: list[list[int]], solved: list[Group], data: Usable,
-    table: Table,
-) -> tuple[str, str, tuple[str, ...]]:
+    table: Table, albedo: LargestAlbedo,
+) -> tuple[str, str, tuple[str, ...]]:  # fmt: skip
     warnings: list[str] = []
     open_labels: list[str] = []
     for s in solved:
@@ -164,19 +172,18 @@ def _verdict(
             warnings.append(f"only 1 of {starts} starts reached the best optimum: try more starts")
     for why, count in data.left_out.items():
         warnings.append(f"{count} usable samples left out: {why}")
-    if table.symmetry == "anisotropic":
+    isotropic = models.family_of(request.model).isotropic(request.model)
+    if table.symmetry == "anisotropic" and isotropic:
         warnings.append("the table is anisotropic and this model is not: it finds an average over azimuths")
-    for name in ("kd", "rho"):
-        values = [
-            value
-            for s in solved
-            for (label, _), value in zip(s.estimates.labels, s.estimates.values, strict=True)
-            if label == name
-        ]
-        if max(values, default=0.0) > 1:
-            warnings.append(
-                f"{name} is {max(values):.3g}: more is reflected than arrives; check the scale of the values"
-            )
+    if table.symmetry == "isotropic" and not isotropic:
+        warnings.append("the table is isotropic and this model is not: its azimuth means nothing")
+    if any(label.partition("[")[0].endswith("psi") for label in open_labels):
+        warnings.append("no direction is found in the surface: the isotropic form of this model would do")
+    if albedo.exceeds:
+        warnings.append(
+            f"reflects {albedo.value:.3g} of the light at theta_i = {math.degrees(albedo.theta_i):.0f} deg, "
+            f"channel {names[albedo.channel]}: more than arrives"
+        )
     if table.domain.incidences == 1:
         warnings.append("one incidence only: the model's dependence on it is an extrapolation")
     stuck = [k for k, s in enumerate(solved) if not s.polished.converged]
@@ -195,5 +202,3 @@ def _verdict(
         )
     passes = sum(s.passes for s in solved)
     return "converged", f"converged in {passes} passes over {len(data)} samples", tuple(warnings)
-
-

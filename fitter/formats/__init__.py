@@ -6,9 +6,10 @@ from fitter.formats.delimited_writer import write_delimited
 from fitter.formats.describe import describe
 from fitter.formats.loading import load, load_all
 from fitter.formats.read_options import CONVENTIONS, ReadOptions, read_options
-from fitter.formats.registry import Format, formats
+from fitter.formats.registry import Format, Loss, formats
+from fitter.formats.writing import write
 
 __all__ = [
-    "CONVENTIONS", "Format", "ReadOptions", "describe", "formats", "load", "load_all", "read_options",
-    "write_delimited",
+    "CONVENTIONS", "Format", "Loss", "ReadOptions", "describe", "formats", "load", "load_all", "read_options",
+    "write", "write_delimited",
 ]  # fmt: skip

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,11 @@ QUANTITY_REMEDY = (
     "say which it is with quantity='brdf' (1/sr, no cosine), 'ccbrdf' (brdf times cos theta_o) or "
     "'reflectance_factor' (pi times brdf)"
 )
+
+#: The note of a table that was given so.
+ABOUT_SPECULAR = "Directions came as polar coordinates about the specular one, azimuth 0 towards the normal."
+#: The note of a table whose channels are X, Y, Z.
+TRISTIMULUS = "The channels are CIE tristimulus values, not spectral bands."
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ def assemble(
             f"{int((cos_o == 0).sum())} rows lie on the horizon, where a cosine-weighted value gives no "
             "BRDF: they count as missing."
         )
-    zeros = int(np.count_nonzero(value == 0))
+    zeros = int(np.count_nonzero(value[slice(None) if reading.usable is None else reading.usable] == 0))
     if zeros:
         notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
     if not source.ends_in_newline:
@@ -120,6 +126,23 @@ def build(
     except TableError as error:
         error.file = source.name
         raise
+
+
+def of_several(table: Table, sources: Sequence[Source], name: str) -> Table:
+    """``table`` with the metadata of a measurement read from several files."""
+    names = [source.name for source in sources if source.name]
+    digest = hashlib.sha256("".join(source.sha256 for source in sources).encode()).hexdigest()
+    provenance = {**table.metadata.provenance, "files": names}
+    provenance.pop("file", None)
+    table.metadata = replace(table.metadata, name=name, sha256=digest, provenance=provenance)
+    return table
+
+
+def stated_quantity(options: ReadOptions, stated: Quantity, words: str) -> tuple[Quantity, list[str]]:
+    """The quantity to read, and a note where ``quantity=`` overrides what the file says in ``words``."""
+    if options.quantity is None or options.quantity == stated:
+        return stated, []
+    return options.quantity, [f"The file says {words}; its values were read as {options.quantity}."]
 
 
 def to_brdf(value: FloatArray, quantity: Quantity, cos_o: FloatArray) -> FloatArray:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
 from fitter.formats import geometry as geo
-from fitter.formats.assemble import QUANTITY_REMEDY, Reading, assemble
+from fitter.formats.assemble import QUANTITY_REMEDY, TRISTIMULUS, Reading, assemble
 from fitter.formats.columns import band_nm, parse_column
+from fitter.formats.output import measured, one_line, write_aside
 from fitter.formats.read_options import ReadOptions
-from fitter.formats.registry import Format
+from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
 from fitter.table import Channel, Quantity, Table
@@ -55,7 +58,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     geometry = geo.from_angles(source, turned, options.convention)
     channels = [Channel(head.names[k], band_nm(head.names[k])) for k in values]
     if {c.name for c in channels} == {"X", "Y", "Z"}:
-        notes.append("The channels are CIE tristimulus values, not spectral bands.")
+        notes.append(TRISTIMULUS)
     reading = Reading(
         NAME, quantity, np.stack([numbers[k] for k in values], axis=1), channels,
         name=head.keys.get("SAMPLE_NAME", ""), provenance=dict(head.keys), notes=tuple(notes),
@@ -63,9 +66,44 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 
 
+def write(table: Table, path: Path) -> list[Loss]:
+    """Write an E1392 file with full digits: angles in radians, values f_r in 1/sr."""
+    samples, losses = measured(table)
+    names = [_column(channel) for channel in table.channels]
+    if len(set(names)) < len(names) or not all(_plain(name) for name in names):
+        names = [f"c{k}" for k in range(len(names))]
+    head = [
+        f"SAMPLE_NAME {one_line(table.metadata.name)}", "MEAS_NAME BRDF", f"NUM_POINTS {len(samples.value)}",
+        f"VARS theta_i,phi_i,theta_s,phi_s,{','.join(names)}", "",
+    ]  # fmt: skip
+    columns = [samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o, *samples.value.T]
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    body = (f"{','.join(map(repr, row))}\n".encode() for row in rows)
+    write_aside(path, chain(["\n".join([*head, ""]).encode()], body))
+    return losses
+
+
 FORMAT = Format(
-    NAME, "ASTM E1392 text, as Cornell's gonioreflectometer wrote it (radians)", CONVENTIONS, sniff, read
+    NAME,
+    "ASTM E1392 text, as Cornell's gonioreflectometer wrote it (radians)",
+    CONVENTIONS,
+    sniff,
+    read,
+    write=write,
 )
+
+
+def _column(channel: Channel) -> str:
+    """The channel's name, or its wavelength as 550nm, which a reader understands."""
+    nm = channel.wavelength_nm
+    if nm is None:
+        return channel.name
+    return f"{nm:g}nm" if float(f"{nm:g}") == nm else f"{nm!r}nm"
+
+
+def _plain(name: str) -> bool:
+    column = parse_column(name)
+    return bool(re.fullmatch(r"[A-Za-z0-9_.]+", name)) and (column is None or column.kind != "angle")
 
 
 def _head(source: Source) -> _Head:

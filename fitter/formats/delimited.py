@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -13,8 +15,9 @@ from fitter.formats import geometry as geo
 from fitter.formats.assemble import QUANTITY_REMEDY, Reading, assemble
 from fitter.formats.columns import VOCABULARY, Column
 from fitter.formats.delimited_header import Head, channels_of, declared_columns, read_head
+from fitter.formats.delimited_writer import write_delimited
 from fitter.formats.read_options import ReadOptions
-from fitter.formats.registry import Format
+from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
 from fitter.table import Channel, Quantity, Symmetry, Table
@@ -25,6 +28,8 @@ NAME = "delimited"
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\v\f")
 _HIGH = bytes(range(128, 256))
 CONVENTIONS = ("phi_specular_180", "phi_specular_0", "forward", "back")
+#: Element rc of a Mueller matrix, normalised or not: m12, f_r12, f_r12/f_r11.
+_MUELLER = re.compile(r"(?:f_?r?_?|m_?|s_?)?[1-4][1-4](?:/.*)?", re.IGNORECASE)
 #: Header lines that become fields of the table, and so are no provenance.
 _FIELDS = frozenset({
     "quantity", "convention", "symmetry", "grid", "periodic", "channels", "rows", "name", "provenance",
@@ -52,6 +57,13 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     used = [k for k in sorted(columns) if columns[k].kind != "item"]
     numbers = dict(zip(used, rows.floats(used).T, strict=True))
     ignored = [name for k, name in enumerate(rows.names) if k not in columns]
+    mueller = [name for name in ignored if _MUELLER.fullmatch(name.strip())]
+    if len(mueller) > 2:
+        ignored = [name for name in ignored if name not in mueller]
+        notes.append(
+            f"{len(mueller)} Mueller elements ({mueller[0]} ... {mueller[-1]}) were not read: only "
+            "unpolarised reflectance is."
+        )
     if ignored:
         notes.append(f"Columns not used: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}.")
     whole = np.arange(len(rows))
@@ -61,12 +73,18 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     ]
 
 
+def _write(table: Table, path: Path) -> list[Loss]:
+    write_delimited(table, path)
+    return []
+
+
 FORMAT = Format(
     NAME,
     "Text columns (CSV, TSV, semicolons, spaces) declared by header names or columns=",
     CONVENTIONS,
     sniff,
     read,
+    write=_write,
 )
 
 

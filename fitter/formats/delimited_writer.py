@@ -6,12 +6,12 @@ import json
 import os
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import TableError
+from fitter.formats.output import one_line, write_aside
 from fitter.grid import GRID_AXES
 from fitter.table import Table
 
@@ -25,23 +25,13 @@ def write_delimited(table: Table, path: str | os.PathLike[str]) -> None:
     have as many digits as a float64 needs, so geometry, values, sigma, channels, mask and hash come back
     exactly. Values are f_r in 1/sr. A table that keeps negatives or duplicates must be read so again.
     """
-    target = Path(path)
-    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with aside.open("w", encoding="utf-8", newline="\n") as file:
-            for line in _lines(table):
-                file.write(line + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        aside.replace(target)
-    finally:
-        aside.unlink(missing_ok=True)
+    write_aside(path, (f"{line}\n".encode() for line in _lines(table)))
 
 
 def _lines(table: Table) -> Iterator[str]:
     meta = table.metadata
     if meta.name:
-        yield f"# name: {_one_line(meta.name)}"
+        yield f"# name: {one_line(meta.name)}"
     yield "# quantity: brdf"
     yield "# convention: phi_specular_180"
     yield f"# symmetry: {table.symmetry}"
@@ -55,7 +45,7 @@ def _lines(table: Table) -> Iterator[str]:
     yield f"# channels: {json.dumps(listed)}"
     yield f"# provenance: {json.dumps(dict(meta.provenance))}"
     for note in meta.notes:
-        yield f"# note: {_one_line(note)}"
+        yield f"# note: {one_line(note)}"
     names: list[str] = []
     blocks: list[NDArray[np.float64]] = []
     if table.grid is not None:
@@ -96,7 +86,3 @@ def _unexplained(table: Table) -> NDArray[np.bool_]:
     except TableError:  # nothing would be usable: kept negatives only
         return ~table.mask
     return plain.mask & ~table.mask
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

@@ -198,6 +198,11 @@ def from_vectors(
     return Geometry(pair[0], pair[1], "vectors", tuple(notes))
 
 
+def from_directions(wi: FloatArray, wo: FloatArray, convention: str, *, symmetric: bool) -> Geometry:
+    """Geometry of unit vectors (n, 3) that a reader computed itself."""
+    return Geometry(_snap(wi), _snap(wo), convention, symmetric=symmetric)
+
+
 def find_grid(
     geometry: Geometry,
     *,

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, TypeAlias, cast
 
 from fitter.errors import SpecError, TableError
 from fitter.formats.read_options import ReadOptions, Treatment
-from fitter.formats.registry import detect
+from fitter.formats.registry import Format, detect
 from fitter.formats.source import Source
 from fitter.table import Quantity, Table
 
@@ -41,7 +41,8 @@ def load(
     ----------
     quantity : "brdf", "ccbrdf" or "reflectance_factor", where the file can't say or says it wrongly.
     convention : one of :data:`fitter.formats.CONVENTIONS`, likewise.
-    item : which table, where the file holds several: its name, or its position from 0.
+    item : which table, where the file holds several: its name, or (where no table has it as its name) its
+        position from 0.
     columns : delimited text: header name or 0-based position -> meaning, as "theta_i_deg", "brdf_R".
     negatives, duplicates : "mask" or "keep", as in :class:`fitter.Table`.
     name : what to call the table; default what the file says, else the file's name.
@@ -90,9 +91,12 @@ def load_all(
         quantity=quantity, convention=convention, item=item, columns=columns or (),  # type: ignore[arg-type]
         negatives=negatives, duplicates=duplicates, name=name,
     )  # fmt: skip
-    tables: list[Table] = []
+    # A slot for each file in turn; the files of one spread-out measurement share the first one's.
+    slots: list[list[Table]] = []
+    spread: dict[tuple[str, str], tuple[int, Format, list[Source]]] = {}
     inner = False
-    for one, inner in _sources(source, name):
+    for one, container in _sources(source, name):
+        inner = container is not None
         entry = detect(one)
         if convention is not None and convention not in entry.conventions:
             raise one.error(
@@ -100,8 +104,19 @@ def load_all(
                 parameter="convention",
                 remedy=f"use one of {', '.join(entry.conventions)}" if entry.conventions else "leave it out",
             )  # fmt: skip
+        if entry.together is not None and container is not None:
+            key = (entry.name, container)
+            if key not in spread:
+                spread[key] = (len(slots), entry, [])
+                slots.append([])
+            spread[key][2].append(one)
+            continue
         # One name can't be that of every file in a container.
-        tables.extend(entry.read(one, replace(options, name=None) if inner else options))
+        slots.append(entry.read(one, replace(options, name=None) if inner else options))
+    for slot, entry, parts in spread.values():
+        assert entry.together is not None
+        slots[slot] = entry.together(parts, replace(options, name=None))
+    tables = [table for slot in slots for table in slot]
     if not tables:
         raise TableError("there is no file to read", code="table-empty", file=_name_of(source, name))
     if item is not None:
@@ -111,28 +126,29 @@ def load_all(
     return tables
 
 
-def _sources(given: object, name: str | None) -> Iterator[tuple[Source, bool]]:
-    """Every file in ``given``, and whether it was found inside a folder, archive or list."""
+def _sources(
+    given: object, name: str | None, within: str | None = None
+) -> Iterator[tuple[Source, str | None]]:
+    """Every file in ``given``, and the folder, archive or list it was found in (None for a lone file)."""
     if isinstance(given, list | tuple):
         for one in cast("list[object]", given):
-            for source, _ in _sources(one, None):
-                yield source, True
+            yield from _sources(one, None, within or "list")
         return
     if isinstance(given, str | os.PathLike) and os.path.isdir(given):
         for path in sorted(Path(given).iterdir()):
             if path.is_file() and not path.name.startswith("."):
-                for source, _ in _sources(path, None):
-                    yield source, True
+                yield from _sources(path, None, str(given))
         return
     source = Source(given, name)  # type: ignore[arg-type]  # Source itself refuses what it can't read
     if source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
-        for member in _members(source):
-            yield member, True
+        for folder, member in _members(source):
+            yield member, f"{within} {source.name} {source.sha256} {folder}"
     else:
-        yield source, False
+        yield source, within
 
 
-def _members(archive: Source) -> Iterator[Source]:
+def _members(archive: Source) -> Iterator[tuple[str, Source]]:
+    """(folder inside the archive, file) of every file in it."""
     try:
         with zipfile.ZipFile(BytesIO(archive.data)) as content:
             wanted = [
@@ -147,7 +163,8 @@ def _members(archive: Source) -> Iterator[Source]:
                 )  # fmt: skip
             for member in wanted:
                 # read() stops at the size the directory claims, which is bounded above.
-                yield Source(content.read(member), Path(member.filename).name)
+                path = Path(member.filename)
+                yield str(path.parent), Source(content.read(member), path.name)
     except (
         zipfile.BadZipFile,
         zlib.error,
@@ -173,16 +190,13 @@ def _label(table: Table) -> str:
 
 def _select(tables: list[Table], item: str | int, file: str | None) -> Table:
     labels = [_label(table) for table in tables]
-    if isinstance(item, int):
-        if 0 <= item < len(tables):
-            return tables[item]
-    else:
-        for names in (labels, [t.metadata.name for t in tables], [_file_of(t) for t in tables]):
-            if names.count(item) == 1:
-                return tables[names.index(item)]
-        # A number that is no item's name is a position: form fields and shells know only text.
-        if item.isdecimal() and int(item) < len(tables):
-            return tables[int(item)]
+    wanted = str(item)
+    for names in (labels, [t.metadata.name for t in tables], [_file_of(t) for t in tables]):
+        if names.count(wanted) == 1:
+            return tables[names.index(wanted)]
+    # A number that is no item's name is a position, as text too: form fields and shells know only text.
+    if wanted.isdecimal() and int(wanted) < len(tables):
+        return tables[int(wanted)]
     shown = ", ".join(labels[:20]) + (", ..." if len(labels) > 20 else "")
     raise SpecError(
         f"there is no item {item!r}", code="unknown-item", file=file, parameter="item",

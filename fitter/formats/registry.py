@@ -5,13 +5,22 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
 from fitter.table import Table
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Something a written file does not hold: a stable slug and a sentence."""
+
+    code: str
+    message: str
 
 
 @dataclass(frozen=True)
@@ -23,6 +32,10 @@ class Format:
     conventions : those of ``CONVENTIONS`` that its reader takes, the default first.
     sniff : (first bytes, file size) -> 0 (not this format) ... 1 (certain).
     read : (source, options) -> the tables in it, at least one. Raises TableError.
+    together : (sources, options) -> tables, where one measurement is spread over several files: all files of
+        this format in one folder, archive or list. None where every file stands for itself.
+    write : (table, path) -> what had to be left out or changed; None where it is read only. Raises TableError
+        for a table the format can't hold at all. A folder is written where one measurement is several files.
     """
 
     name: str
@@ -30,6 +43,8 @@ class Format:
     conventions: tuple[str, ...]
     sniff: Callable[[bytes, int], float]
     read: Callable[[Source, ReadOptions], list[Table]]
+    together: Callable[[Sequence[Source], ReadOptions], list[Table]] | None = None
+    write: Callable[[Table, Path], list[Loss]] | None = None
 
 
 #: Below this score a format is only a guess, and a known foreign signature wins.
@@ -46,9 +61,6 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (rb"\x93NUMPY", "a NumPy array: build fitter.Table(wi=..., wo=..., value=...) from it"),
     (rb"\s*[\[{]\s*[\"\[{\]}]", "JSON"),
     (rb"\s*<\?xml|\s*<\w+[^>]*>", "XML"),
-    (rb"type\s+bsdf_data", "a FRED scatter table"),
-    (rb"(?s).{0,8192}?^Source\s+Measured", "a Zemax BSDF file"),
-    (rb"VERSION\s+\d|DATA_TYPE\s+brdf", "an SSDD file"),
 )
 
 

@@ -103,6 +103,11 @@ class Source:
         """Hexadecimal digest of all bytes."""
         return hashlib.sha256(self.buffer).hexdigest()
 
+    def beside(self, name: str) -> Source | None:
+        """The file called ``name`` in this file's folder; None where there is none or no folder is known."""
+        path = None if self._path is None else self._path.with_name(name)
+        return Source(path) if path is not None and path.is_file() else None
+
     @property
     def stem(self) -> str:
         """The name without its extension, "" when there is no name."""

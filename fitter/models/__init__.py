@@ -15,28 +15,18 @@ from numpy.typing import ArrayLike  # noqa: E402
 
 from fitter.errors import SpecError  # noqa: E402
 from fitter.models.base import ReflectanceModel  # noqa: E402
-from fitter.models.lafortune import Lafortune  # noqa: E402
-from fitter.models.oren_nayar import OrenNayar  # noqa: E402
 from fitter.models.parameters import Parameter  # noqa: E402
-from fitter.models.torrance_sparrow import TorranceSparrow  # noqa: E402
-from fitter.models.ward import Ward  # noqa: E402
-from fitter.spec import FAMILIES, ModelSpec, model_spec  # noqa: E402
+from fitter.models.registry import family_of  # noqa: E402
+from fitter.spec import CANON, FAMILIES, ModelSpec, model_spec  # noqa: E402
 
 __all__ = [
-    "FAMILIES", "Parameter", "ReflectanceModel", "create", "family_of", "from_dict", "parameter_table",
+    "CANON", "FAMILIES", "Parameter", "ReflectanceModel", "create", "family_of", "from_dict",
+    "parameter_table",
 ]  # fmt: skip
 
 
 #: Scales beyond this make products of a model's terms overflow.
 LARGEST = 1e150
-
-
-def family_of(spec: ModelSpec) -> type[ReflectanceModel]:
-    """The class of a specification's family."""
-    kinds: dict[str, type[ReflectanceModel]] = {
-        kind.family: kind for kind in (Ward, TorranceSparrow, Lafortune, OrenNayar)
-    }
-    return kinds[spec.family]
 
 
 def parameter_table(model: ModelSpec | str) -> tuple[Parameter, ...]:
@@ -78,10 +68,20 @@ def create(
             raise SpecError(
                 f"{p.name} = {array.tolist()} is outside [{p.lower:g}, {upper:g}]",
                 code="parameter-out-of-bounds", parameter=p.name,
-                remedy=f"{p.name} is {p.description}, unit {p.unit}",
+                remedy=f"{p.name} is {p.description}, unit {p.unit}" + _printed_too_high(p, array),
             )  # fmt: skip
         filled[p.name] = jnp.asarray(np.broadcast_to(array, (count,)) if p.linear else array)
     return family_of(spec)(spec=spec, channels=tuple(channels), values=filled)
+
+
+def _printed_too_high(p: Parameter, array: np.ndarray) -> str:
+    """A hint where a reflectance is a little above 1."""
+    if not (p.linear and p.upper == 1.0 and (array > 1).any() and (array <= 1.5).all()):
+        return ""
+    return (
+        "; printed reflectances of metals in linear RGB can exceed 1 (gold's red is 1.022): "
+        "clamp them yourself, nothing is clamped silently"
+    )
 
 
 def _known(spec: ModelSpec, values: Mapping[str, Any]) -> tuple[Parameter, ...]:

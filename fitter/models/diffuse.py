@@ -1,4 +1,4 @@
-"""The additive Lambertian term and the parameters most families share."""
+"""The Lambertian term beneath a specular one, and the parameters most families share."""
 
 from __future__ import annotations
 
@@ -17,12 +17,17 @@ KS = Parameter("ks", "1", 0.0, math.inf, 0.1, "scale of the specular term", line
 
 def with_diffuse(spec: ModelSpec, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """``parameters`` behind kd, where the specification has the diffuse term."""
-    return (KD, *parameters) if spec.diffuse == "lambert" else tuple(parameters)
+    return tuple(parameters) if spec.diffuse == "none" else (KD, *parameters)
 
 
-def masked_terms(spec: ModelSpec, above: Array, lobes: Sequence[Array]) -> tuple[Array, ...]:
-    """The terms of a family: 1/pi where it has the diffuse term, then ``lobes``; 0 below the horizon."""
+def masked_terms(
+    spec: ModelSpec, above: Array, lobes: Sequence[Array], entering: Array | float = 1.0
+) -> tuple[Array, ...]:
+    """The terms of a family, 0 below the horizon: 1/pi where it has the diffuse term, then ``lobes``.
+
+    entering : the part of the light that reaches the diffuse term, 1 where it is additive.
+    """
     terms = tuple(lobes)
-    if spec.diffuse == "lambert":
-        terms = (jnp.full_like(terms[0], 1 / math.pi), *terms)
+    if spec.diffuse != "none":
+        terms = (jnp.broadcast_to(entering / math.pi, jnp.shape(terms[0])).astype(terms[0].dtype), *terms)
     return tuple(jnp.where(above, term, 0.0) for term in terms)

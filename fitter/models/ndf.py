@@ -1,35 +1,73 @@
 """Normal distribution functions D(h), normalised so that the integral of D cos(theta_h) d omega is 1.
 
-Arguments are tan^2(theta_h) and the roughness alpha: tan^2 keeps its digits near the normal, where
-1 - cos^2 loses them (relative error 7e-2 at alpha = 1e-3 in float32).
+Each is a small pytree with its density, Smith's Lambda and its own sampling. Densities take the
+unnormalised half vector: tan^2 from its components keeps the digits near the normal that 1 - cos^2 loses
+(relative error 7e-2 at alpha = 1e-3 in float32).
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
 
+from fitter.models import ndf_blinn, ndf_gaussian, roughness
+from fitter.models.ndf_blinn import Blinn
+from fitter.models.ndf_gaussian import Gaussian
+from fitter.models.ndf_shape_invariant import GGX, Beckmann
+from fitter.models.pair import Half
+from fitter.models.parameters import Parameter
+from fitter.spec import ModelSpec
 
-def beckmann(tan2: Array, alpha: Array) -> Array:
-    """Beckmann and Spizzichino 1963: exp(-tan^2/alpha^2) / (pi alpha^2 cos^4)."""
-    sec2 = 1.0 + tan2
-    return jnp.exp(-tan2 / (alpha * alpha)) * sec2 * sec2 / (math.pi * alpha * alpha)
+__all__ = ["GGX", "NDF", "Beckmann", "Blinn", "Distribution", "Gaussian", "each", "of", "parameters"]
 
-
-def ggx(tan2: Array, alpha: Array) -> Array:
-    """Trowbridge and Reitz 1975 (GGX, Walter et al. 2007): alpha^2 / (pi cos^4 (alpha^2 + tan^2)^2)."""
-    sec2 = 1.0 + tan2
-    ratio = alpha / (alpha * alpha + tan2)
-    return ratio * ratio * sec2 * sec2 / math.pi
-
-
-def sample_tan2(ndf: str, alpha: Array, u: Array) -> Array:
-    """tan^2(theta_h) distributed as D cos(theta_h) for uniform u in [0, 1)."""
-    if ndf == "beckmann":
-        return -alpha * alpha * jnp.log1p(-u)
-    return alpha * alpha * u / (1.0 - u)
+Distribution = Beckmann | GGX | Blinn | Gaussian
 
 
-NDFS = {"beckmann": beckmann, "ggx": ggx}
+@runtime_checkable
+class NDF(Protocol):
+    """A distribution of microfacet normals."""
+
+    def density(self, h: Half, times: Array | float = 1.0) -> Array:
+        """D(h), 1/sr, of half vectors above the horizon, times a factor.
+
+        A large factor belongs inside: the product may be a normal number where D alone underflows.
+        """
+        ...
+
+    def lambda_cos(self, x: Array, y: Array, z: Array) -> Array:
+        """Smith's Lambda(w) times cos(theta_w) of unit vectors w = (x, y, z), z >= 0 (finite at grazing)."""
+        ...
+
+    def sample(self, u: Array) -> Array:
+        """(n, 3) normals with density D cos(theta_h) for uniform u (n, 2)."""
+        ...
+
+
+def parameters(spec: ModelSpec) -> tuple[Parameter, ...]:
+    """The parameters of the distribution that a specification names."""
+    if spec.ndf == "blinn":
+        return (ndf_blinn.N,)
+    if spec.ndf == "gaussian":
+        return (ndf_gaussian.S,)
+    return roughness.parameters(spec.anisotropic)
+
+
+def of(spec: ModelSpec, values: Mapping[str, Array]) -> Distribution:
+    """The distribution that a specification names, from a model's nonlinear parameters."""
+    if spec.ndf == "blinn":
+        return Blinn(values["n"])
+    if spec.ndf == "gaussian":
+        return Gaussian(values["s"])
+    kind = GGX if spec.ndf == "ggx" else Beckmann
+    return kind(roughness.of(spec.anisotropic, values))
+
+
+def each(spec: ModelSpec, values: Mapping[str, Array]) -> list[Distribution]:
+    """One distribution per channel where its parameters are per channel, else one: what lobes draw from."""
+    arrays = {p.name: jnp.atleast_1d(values[p.name]) for p in parameters(spec)}
+    count = max(len(a) for a in arrays.values())
+    wide = {name: jnp.broadcast_to(a, (count,)) for name, a in arrays.items()}
+    return [of(spec, {name: a[k] for name, a in wide.items()}) for k in range(count)]

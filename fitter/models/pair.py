@@ -62,6 +62,12 @@ class Half(NamedTuple):
         return Half(x, y, z, x * x + y * y + z * z)
 
     @property
+    def sec2(self) -> Array:
+        """1/cos^2 of the angle between H and the normal."""
+        return 1.0 + self.tan2
+
+    @property
     def tan2(self) -> Array:
         """tan^2 of the angle between H and the normal."""
-        return (self.x * self.x + self.y * self.y) / (self.z * self.z)
+        x, y = self.x / self.z, self.y / self.z
+        return x * x + y * y

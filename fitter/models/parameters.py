@@ -14,7 +14,8 @@ class Parameter:
     ``linear`` parameters enter f_r linearly (possibly after a change of variables, as Schlick's F0) and
     are always per channel; the others are shared by the channels unless ``per_channel``.
     ``search`` is the coordinate in which the range is explored: "log" where the order of magnitude is
-    what is unknown. The prior is flat in that coordinate between the bounds.
+    what is unknown. The prior is flat in that coordinate over ``searched``: the bounds, unless
+    ``search_range`` is narrower (a logarithm can't start at 0).
     """
 
     name: str
@@ -26,10 +27,19 @@ class Parameter:
     linear: bool = False
     search: Literal["linear", "log"] = "linear"
     per_channel: bool = False
+    search_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.lower <= self.default <= self.upper:
             raise ValueError(f"{self.name}: default {self.default} outside [{self.lower}, {self.upper}]")
+        low, high = self.searched
+        if not self.lower <= low <= high <= self.upper or (self.search == "log" and low <= 0):
+            raise ValueError(f"{self.name} can't be searched over [{low}, {high}]")
+
+    @property
+    def searched(self) -> tuple[float, float]:
+        """The range a fit explores unless it is told another."""
+        return self.search_range or (self.lower, self.upper)
 
     @property
     def prior(self) -> str:
@@ -37,7 +47,8 @@ class Parameter:
         if math.isinf(self.upper):
             return f"flat above {self.lower:g}"
         kind = "log-uniform" if self.search == "log" else "uniform"
-        return f"{kind} on [{self.lower:g}, {self.upper:g}]"
+        low, high = self.searched
+        return f"{kind} on [{low:g}, {high:g}]"
 
     def to_dict(self) -> dict[str, Any]:
         return {

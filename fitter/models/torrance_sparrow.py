@@ -1,11 +1,13 @@
-"""Torrance-Sparrow: ks F D G / (4 cos_i cos_o) plus kd/pi, any NDF with any masking and Fresnel term.
+"""Torrance-Sparrow: ks F D G / (4 cos_i cos_o) plus a diffuse term, for any NDF, masking and Fresnel term.
 
 K. Torrance and E. Sparrow 1967; the constant is 4 (the 1982 paper of Cook and Torrance prints pi for
-a D without its own 1/pi). Schlick's Fresnel term splits into two that are linear,
+a D without its own 1/pi). The diffuse term is kd/pi, or coupled, (1 - F) kd/pi with F at the half vector,
+which is reciprocal. Schlick's Fresnel term splits into terms that are linear,
 
-    ks F = (ks F0) + (ks (1 - F0)) (1 - cos theta_d)^5,
+    ks F = (ks F0) + (ks (1 - F0)) S,    kd (1 - F) = (kd (1 - F0)) (1 - S),    S = (1 - cos theta_d)^5,
 
-which leaves the roughness as the only nonlinear parameter and removes the ks-F0 valley.
+which leaves the roughness as the only nonlinear parameter and removes the ks-F0 valley. With exact Fresnel
+terms the indices are nonlinear: eta, shared by the channels, or a metal's eta and kappa, per channel.
 """
 
 from __future__ import annotations
@@ -16,69 +18,98 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from fitter.models.base import ReflectanceModel
+from fitter.models import fresnel, ndf
+from fitter.models.base import SeparableModel
 from fitter.models.diffuse import KS, masked_terms, with_diffuse
-from fitter.models.fresnel import schlick_weight
-from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe
-from fitter.models.masking import MASKINGS
-from fitter.models.ndf import NDFS
+from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe, VisibleNormalLobe
+from fitter.models.masking import facets
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
 
-F0 = Parameter("f0", "1", 0.0, 1.0, 0.04, "Fresnel reflectance at normal incidence (Schlick)", linear=True)
-ALPHA = Parameter("alpha", "1", 1e-3, 2.0, 0.2, "roughness of the normal distribution", search="log")
+#: With a coupled diffuse term F0 = 1 would leave no light to it: the largest F0 such a fit may have.
+LARGEST_COUPLED_F0 = 1.0 - 2.0**-20
 
 
-class TorranceSparrow(ReflectanceModel):
+class TorranceSparrow(SeparableModel):
     family: ClassVar[str] = "torrance_sparrow"
 
     @staticmethod
     def parameter_table(spec: ModelSpec) -> tuple[Parameter, ...]:
-        return with_diffuse(spec, (KS, F0, ALPHA) if spec.fresnel == "schlick" else (KS, ALPHA))
+        linear = (KS, fresnel.F0) if spec.fresnel == "schlick" else (KS,)
+        nonlinear = (*ndf.parameters(spec), *fresnel.PARAMETERS[spec.fresnel or "none"])
+        return with_diffuse(spec, (*linear, *nonlinear))
 
     @staticmethod
     def terms(spec: ModelSpec, nonlinear: Mapping[str, Array], p: Pair) -> tuple[Array, ...]:
         above = p.above
         p = p.lifted()
         h = Half.of(p)
-        alpha = nonlinear["alpha"]
-        assert spec.ndf is not None
-        assert spec.masking is not None
-        lobe = NDFS[spec.ndf](h.tan2, alpha) * MASKINGS[spec.masking](p, h, alpha, spec.ndf)
-        lobes = [lobe, lobe * schlick_weight(p, h)] if spec.fresnel == "schlick" else [lobe]
-        return masked_terms(spec, above, lobes)
-
-    @classmethod
-    def coefficients(cls, spec: ModelSpec, linear: Mapping[str, Array]) -> tuple[Array, ...]:
-        ks = linear["ks"]
-        lobes = (ks * linear["f0"], ks * (1.0 - linear["f0"])) if spec.fresnel == "schlick" else (ks,)
-        return (linear["kd"], *lobes) if spec.diffuse == "lambert" else lobes
-
-    @classmethod
-    def linear_from(cls, spec: ModelSpec, coefficients: Sequence[Array]) -> dict[str, Array]:
-        found: dict[str, Array] = {}
-        rest = list(coefficients)
-        if spec.diffuse == "lambert":
-            found["kd"] = rest.pop(0)
-        found["ks"] = rest[0]
+        normals = ndf.of(spec, nonlinear)
+        lobe = facets(spec.masking, p, h, normals)
+        coupled = spec.diffuse == "coupled"
         if spec.fresnel == "schlick":
-            ks = rest[0] + rest[1]
-            found["ks"] = ks
-            # Without a specular term F0 means nothing: 0 keeps it finite, its uncertainty says the rest.
-            found["f0"] = jnp.where(ks > 0, rest[0] / jnp.where(ks > 0, ks, 1.0), 0.0)
-        return found
+            entering = fresnel.schlick_rest(p, h) if coupled else 1.0
+            return masked_terms(spec, above, [lobe, lobe * fresnel.schlick_weight(p, h)], entering)
+        if spec.fresnel == "none":
+            return masked_terms(spec, above, [lobe])
+        reflected, entering = fresnel.exact_split(spec.fresnel, nonlinear, fresnel.facet_cosine(h))
+        return masked_terms(spec, above, [lobe * reflected], entering if coupled else 1.0)
+
+    @classmethod
+    def coefficients(
+        cls, spec: ModelSpec, linear: Mapping[str, Array], nonlinear: Mapping[str, Array]
+    ) -> tuple[Array, ...]:
+        if spec.fresnel != "schlick":
+            return super().coefficients(spec, linear, nonlinear)
+        ks, f0 = linear["ks"], linear["f0"]
+        lobes = (ks * f0, ks * (1.0 - f0))
+        if spec.diffuse == "none":
+            return lobes
+        return (linear["kd"] * (1.0 - f0) if spec.diffuse == "coupled" else linear["kd"], *lobes)
+
+    @classmethod
+    def linear_from(
+        cls, spec: ModelSpec, coefficients: Sequence[Array], nonlinear: Mapping[str, Array]
+    ) -> dict[str, Array]:
+        if spec.fresnel != "schlick":
+            return super().linear_from(spec, coefficients, nonlinear)
+        *diffuse, constant, rising = coefficients
+        ks = constant + rising
+        # Without a specular term F0 means nothing: 0 keeps it finite, its uncertainty says the rest.
+        f0 = jnp.where(ks > 0, constant / jnp.where(ks > 0, ks, 1.0), 0.0)
+        if not diffuse:
+            return {"ks": ks, "f0": f0}
+        kd = diffuse[0]
+        if spec.diffuse == "coupled":
+            f0 = jnp.where(kd > 0, jnp.minimum(f0, LARGEST_COUPLED_F0), f0)
+            kd = jnp.where(kd > 0, kd / jnp.where(kd > 0, 1.0 - f0, 1.0), 0.0)
+        return {"kd": kd, "ks": ks, "f0": f0}
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
-        assert spec.ndf is not None
-        alphas = jnp.atleast_1d(values["alpha"])
-        # Cosine average of Schlick's term: F0 + (1 - F0)/21.
-        f0 = values["f0"] if spec.fresnel == "schlick" else jnp.ones_like(values["ks"])
-        strength = jnp.mean(values["ks"] * (f0 + (1.0 - f0) / 21.0))
-        found: list[tuple[Lobe, Array]] = [
-            (HalfVectorLobe(a, spec.ndf), strength / len(alphas)) for a in alphas
-        ]
-        if spec.diffuse == "lambert":
-            found.append((CosineLobe(), jnp.mean(values["kd"])))
+        normals = ndf.each(spec, values)
+        average = average_fresnel(spec, values)
+        strength = jnp.mean(values["ks"] * average) / len(normals)
+        found: list[tuple[Lobe, Array]] = [(lobe_of(spec, d), strength) for d in normals]
+        if spec.diffuse != "none":
+            entering = 1.0 - average if spec.diffuse == "coupled" else 1.0
+            found.append((CosineLobe(), jnp.mean(values["kd"] * entering)))
         return found
+
+
+def lobe_of(spec: ModelSpec, normals: ndf.Distribution) -> Lobe:
+    """Reflection in visible normals where the masking is Smith's or close to it, else in all normals: so
+    the weights are bounded (V-grooves: by 2 F, since G <= 2 cos_h cos_i / (h.wi))."""
+    if spec.masking in (None, "v_groove"):
+        return HalfVectorLobe(normals)
+    return VisibleNormalLobe(normals.envelope())
+
+
+def average_fresnel(spec: ModelSpec, values: Mapping[str, Array]) -> Array:
+    """Cosine average of F, () or (C,): about the share of light that is reflected at the facets."""
+    if spec.fresnel == "schlick":
+        return values["f0"] + (1.0 - values["f0"]) / 21.0
+    if spec.fresnel == "none":
+        return jnp.ones_like(values["ks"])
+    return fresnel.cosine_average(lambda c: fresnel.exact(spec.fresnel, values, c), values["eta"])

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fitter.fitting.layout import Layout
+from fitter.fitting.order import azimuths, ordered_axes
 
 FloatArray = NDArray[np.float64]
 #: Walkers evaluated at once: more would push the samples out of the cache.
@@ -32,6 +33,8 @@ class Density:
 
     pair : (6, n). value : (C, n). sigma : (C, n), or None where the noise is inferred.
     lower, upper : (P,) bounds of y; upper infinite for coordinates bounded below by 0 alone.
+    centre : (P,) a y whose azimuths are the middle of the half turn they are brought to; None leaves the axes
+        of a surface in whatever order they come.
     """
 
     layout: Layout
@@ -40,6 +43,7 @@ class Density:
     sigma: FloatArray | None
     lower: FloatArray
     upper: FloatArray
+    centre: FloatArray | None = None
 
     @property
     def size(self) -> int:
@@ -47,14 +51,32 @@ class Density:
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Log-density (W,) at vectors x (W, P)."""
-        return np.asarray(_batch(self.layout, self.folded(x), *self._data()))
+        found = np.asarray(_batch(self.layout, self.folded(x), *self._data()))
+        return np.where(self.within(x), found, -np.inf)
+
+    def within(self, x: FloatArray) -> NDArray[np.bool_]:
+        """(...) True where no bounded coordinate is beyond the first mirror image of its range.
+
+        Without an end a coordinate that the data leave open would wander ever further, and the proposals,
+        which learn from the walkers, with it. Over whole images a flat prior stays flat.
+        """
+        span = self.upper - self.lower
+        inside = (x >= self.lower - span) & (x <= self.upper + span)
+        return np.asarray((inside | np.isinf(span)).all(axis=-1))
 
     def folded(self, x: FloatArray) -> FloatArray:
         """The model's coordinates y of sampled vectors x, both (..., P)."""
         open_above = ~np.isfinite(self.upper)
         span = np.where(open_above, 1.0, self.upper - self.lower)
         turn = np.mod((x - self.lower) / span, 2.0)
-        return np.where(open_above, np.abs(x), self.lower + span * np.minimum(turn, 2.0 - turn))
+        y = np.where(open_above, np.abs(x), self.lower + span * np.minimum(turn, 2.0 - turn))
+        if self.centre is None or len(azimuths(self.layout)) == 0:
+            return y
+        # The same surface under its other names: otherwise an azimuth hardly known had several modes.
+        first = len(self.layout.linear) * len(self.value)
+        u = slice(first, first + len(self.layout.entries))
+        y[..., u] = ordered_axes(self.layout, y[..., u], self.centre[u])
+        return y
 
     def mode(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The mode near y and the covariance (P, P) of the normal that has its curvature (Laplace)."""
@@ -98,15 +120,18 @@ class Density:
 
 def log_likelihood(layout: Layout, y: Array, pair: Array, value: Array, sigma: Array | None) -> Array:
     """Log-likelihood () of one vector y in the model's coordinates, up to a constant."""
-    c, t = value.shape[0], len(layout.free)
-    names = [p.name for p in layout.family.parameter_table(layout.spec) if p.linear]
+    c, t = value.shape[0], len(layout.entries)
+    names = [p.name for p in layout.linear]
     linear = y[: len(names) * c].reshape(len(names), c)
     u = y[len(names) * c : len(names) * c + t]
-    coefficients = layout.family.coefficients(layout.spec, dict(zip(names, linear, strict=True)))
+    coefficients = layout.family.coefficients(
+        layout.spec, dict(zip(names, linear, strict=True)), layout.nonlinear(u)
+    )  # fmt: skip
     terms = layout.terms(u, pair)
+    each = terms.swapaxes(0, 1) if layout.mixed else terms
     # Written out: an einsum of these shapes becomes a matrix product ten times as slow.
-    f = sum((b[:, None] * term for b, term in zip(coefficients[1:], terms[1:], strict=True)),
-            coefficients[0][:, None] * terms[0])  # fmt: skip
+    f = sum((b[:, None] * term for b, term in zip(coefficients[1:], each[1:], strict=True)),
+            coefficients[0][:, None] * each[0])  # fmt: skip
     if sigma is not None:
         return -0.5 * jnp.sum(jnp.square((value - f) / sigma))
     noise = jnp.square(y[len(names) * c + t :]).reshape(2, c, 1)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter import models
 from fitter.errors import FitError
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import LOG_FLOOR
@@ -89,11 +88,11 @@ def start(
 
     Raises FitError where there are fewer values than parameters or the likelihood is not finite.
     """
-    table = {p.name: p for p in models.parameter_table(places.spec)}
-    linear = [p for p in table.values() if p.linear]
+    linear = places.linear
     names = fit.model.channels
-    # In units of a typical value: squares of values near 1e-100 would not be numbers any more.
-    unit = float(data.floor[list(group)].max()) / LOG_FLOOR
+    # In units of a typical value: squares of values near 1e-100 would not be numbers any more. Only where
+    # the coefficients are free does a common factor of the values pass to the parameters.
+    unit = float(data.floor[list(group)].max()) / LOG_FLOOR if places.coefficients_are_free else 1.0
     value = data.value[index][:, group] / unit
     sigma = data.sigma[index][:, group] / unit if kind == "table" and data.sigma is not None else None
     c = len(group)
@@ -109,13 +108,14 @@ def start(
         labels += [f"{p.name}[{names[k]}]" for k in group]
         low += [p.lower] * c
         high += [min(p.upper, LARGEST_SCALE * np.pi * float(np.abs(value).max()))] * c
-    for k, name in enumerate(places.free):
-        own = np.atleast_1d(fit.parameters[name].value)
-        number = float(own[group[0]] if len(own) > 1 else own[0])
+    lower, upper = places.box
+    for entry, (k, c_own) in enumerate(places.entries):
+        estimate, channel = fit.parameters[places.free[k]].value, group[c_own or 0]
+        number = float(estimate[channel] if np.ndim(estimate) else estimate)
         x.append(float(np.log(number)) if places.logs[k] else number)
-        labels.append(name if np.ndim(fit.parameters[name].value) == 0 else f"{name}[{names[group[0]]}]")
-        low.append(places.lower[k])
-        high.append(places.upper[k])
+        labels.append(places.free[k] + (f"[{names[channel]}]" if np.ndim(estimate) else ""))
+        low.append(lower[entry])
+        high.append(upper[entry])
         units.append(1.0)
     if sigma is None:
         misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
@@ -132,7 +132,7 @@ def start(
             remedy="measure more geometries, fix parameters, or use a simpler model",
         )  # fmt: skip
     logs = np.zeros(len(x), bool)
-    logs[len(linear) * c : len(linear) * c + len(places.free)] = places.logs
+    logs[len(linear) * c :][: len(places.entries)] = [places.logs[k] for k, _ in places.entries]
     density = Density(
         places, np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
         None if sigma is None else np.ascontiguousarray(sigma.T), np.array(low), np.array(high),
@@ -150,12 +150,12 @@ def start(
             cause="standard uncertainties far too small, or values near the limits of floating point",
             remedy="check sigma and the units of the values",
         )  # fmt: skip
+    density = replace(density, centre=mode)
     walkers = request.walkers or max(32, 2 * (len(x) + 1))
     # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
     spread = 2.0 * np.linalg.cholesky(covariance)
-    starts = [
-        mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)
-    ]
+    starts = [mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)]
+    starts = [np.where(density.within(w)[:, None], w, density.folded(w)) for w in starts]
     seeds = np.random.SeedSequence(int(rng.integers(2**63)))
     run = Ensembles(density, labels, logs, np.array(units), starts, seeds, [])
     run.renew(mode, covariance)

@@ -27,7 +27,6 @@ FIRST_STEPS = 100
 TUNING = (100, 100, 200)
 
 
-
 def sample(
     table: Table | CompressedTable,
     fit: FitResult,
@@ -65,13 +64,14 @@ def sample(
             "noise 'table' needs the table's own standard uncertainty, and it states none",
             code="noise-needs-sigma", parameter="noise", remedy="use noise='inferred'",
         )  # fmt: skip
-    places = layout(fit.spec)
-    data = usable(table, "absolute", fit.spec.select)
+    anisotropic = not fit.model.isotropic(fit.spec.model)
+    data = usable(table, "absolute", fit.spec.select, anisotropic=anisotropic)
+    places = layout(fit.spec, len(data.channels))
     rng = np.random.default_rng(request.seed)
     index = np.arange(len(data))
     if len(index) > request.max_samples:
         index = np.sort(rng.choice(len(data), request.max_samples, replace=False))
-    groups = channel_groups(fit.spec.model, len(data.channels))
+    groups = channel_groups(fit.spec, len(data.channels))
     progress(0.0, "finding the mode")
     runs = [start(places, fit, data, index, group, kind, request, rng) for group in groups]
     prepared = time.perf_counter()

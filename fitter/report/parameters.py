@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 
+from fitter.directions import vector_from_spherical
+from fitter.models.base import SeparableModel
+from fitter.models.pair import Pair
 from fitter.report.clean import drawn
 from fitter.report.fitted import Fitted, display, label_of
 from fitter.report.rounding import NOT_STATED, at_place_of, rounded, significant
@@ -68,15 +74,39 @@ def scale_sensitivity(model: ReflectanceModel) -> dict[str, FloatArray]:
     A common factor of the table multiplies every coefficient; the model's own change of variables says
     what that does to its parameters (Schlick's F0 stays, ks takes the factor).
     """
-    kind = type(model)
-    coefficients = kind.coefficients(model.spec, model.linear)
-    values, slopes = jax.jvp(lambda c: kind.linear_from(model.spec, c), (coefficients,), (coefficients,))
+    assert isinstance(model, SeparableModel)
+    kind, spec, nonlinear = type(model), model.spec, model.nonlinear
+    if not kind.coefficients_are_free(spec):
+        return _nearest_sensitivity(model)
+    coefficients = kind.coefficients(spec, model.linear, nonlinear)
+    values, slopes = jax.jvp(
+        lambda c: kind.linear_from(spec, c, nonlinear), (coefficients,), (coefficients,)
+    )  # fmt: skip
     found: dict[str, FloatArray] = {}
     for name, slope in slopes.items():
         size, value = np.asarray(slope), np.abs(np.asarray(values[name]))
         # What is left of a derivative that cancels is rounding.
         found[name] = np.where(np.abs(size) > 1e-12 * np.maximum(value, 1e-300), size, 0.0)
     return found
+
+
+def _nearest_sensitivity(model: SeparableModel) -> dict[str, FloatArray]:
+    """:func:`scale_sensitivity` where no parameters multiply the values by a common factor: of those that
+    come nearest, by least squares over a grid of directions, the nonlinear ones as they are."""
+    theta, phi = np.deg2rad([0.0, 25.0, 50.0, 70.0]), np.deg2rad([0.0, 60.0, 120.0, 180.0])
+    i, o, azimuth = (a.reshape(-1) for a in np.meshgrid(theta, theta, phi, indexing="ij"))
+    wi, wo = vector_from_spherical(i, 0.0), vector_from_spherical(o, azimuth)
+    linear = model.linear
+    flat = jnp.stack([linear[name] for name in linear])
+
+    def values(rows: Array) -> Array:
+        changed = model.values | dict(zip(linear, rows, strict=True))
+        return eqx.tree_at(lambda m: m.values, model, changed).value(Pair.split(wi, wo))
+
+    slopes = np.asarray(jax.jacfwd(values)(flat))  # (n, C, L, C)
+    here = np.asarray(values(flat))
+    each = [np.linalg.lstsq(slopes[:, c, :, c], here[:, c], rcond=None)[0] for c in range(here.shape[1])]
+    return {name: np.array([row[k] for row in each]) for k, name in enumerate(linear)}
 
 
 def correlation(fitted: Fitted) -> dict[str, Any]:
@@ -152,7 +182,7 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
         values, u_fit = np.atleast_1d(estimate.value), np.atleast_1d(estimate.standard_uncertainty)
         channels = fit.model.channels if estimate.value.ndim else (None,)
         slopes = np.broadcast_to(sensitivity.get(name, np.zeros(())), values.shape)
-        bounds = fit.spec.bounds.get(name, (declared[name].lower, declared[name].upper))
+        bounds = fit.spec.bounds.get(name, declared[name].searched)
         for c, channel in enumerate(channels):
             label = label_of(name, channel)
             state = _state(name in fit.spec.fixed, estimate.at_bound[c], float(u_fit[c]))

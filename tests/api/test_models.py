@@ -45,6 +45,35 @@ def test_verbs_are_the_librarys(client: Any, model: str, ward: Any) -> None:
     np.testing.assert_allclose(found["weight"], drawn.weight, rtol=1e-12)
 
 
+def test_a_model_that_transmits(client: Any) -> None:
+    """Light on both sides of a rough dielectric, and ideal components told apart from densities."""
+    values = {"eta": 1.5, "alpha": 0.4}
+    made = client.post("/v1/models", json={"model": "rough_dielectric", "values": values}).json()
+    ours = models.create("rough_dielectric", **values)
+    below = [-0.4, 0.1, -np.sqrt(0.83)]
+    ask = client.post(f"/v1/models/{made['id']}/evaluate", json={"wi": WI, "wo": [below]}).json()
+    np.testing.assert_allclose(ask["values"], ours.evaluate([WI], [below]), rtol=1e-12)
+    assert ask["values"][0][0] > 0
+    albedo = client.post(f"/v1/models/{made['id']}/albedo", json={"wi": WI}).json()
+    assert 0.8 < albedo["values"][0][0] + albedo["transmittance"][0][0] <= 1.0
+    mirror = client.post("/v1/models", json={"model": "specular", "values": {"ks": 0.9}}).json()
+    drawn = client.post(f"/v1/models/{mirror['id']}/sample", json={"wi": WI, "n": 3, "seed": 1}).json()
+    assert drawn["is_delta"] == [True] * 3
+    np.testing.assert_allclose(drawn["wo"], np.tile([-0.6, 0.0, 0.8], (3, 1)), atol=1e-15)
+    np.testing.assert_allclose(drawn["weight"], 0.9, rtol=1e-12)
+    opaque = client.post(f"/v1/models/{mirror['id']}/albedo", json={"wi": WI}).json()
+    assert opaque["transmittance"] is None
+
+
+def test_a_sum_of_models(client: Any) -> None:
+    values = {"a_ks": 0.2, "a_alpha": 0.1, "b_kd": [0.1, 0.2, 0.3]}
+    made = client.post("/v1/models", json={"model": "sum(ward:no_diffuse, lambert)", "values": values})
+    assert made.status_code == 201, made.text
+    found = client.post(f"{made.headers['location']}/evaluate", json={"wi": WI, "wo": WO}).json()
+    ward = models.create("ward", kd=[0.1, 0.2, 0.3], ks=0.2, alpha=0.1)
+    np.testing.assert_allclose(found["values"], ward.evaluate(np.tile(WI, (3, 1)), WO), rtol=1e-12)
+
+
 def test_binary_in_and_out(client: Any, model: str, ward: Any) -> None:
     rng = np.random.default_rng(0)
     both = np.abs(rng.standard_normal((2, 1000, 3)))
@@ -72,7 +101,11 @@ def test_binary_in_and_out(client: Any, model: str, ward: Any) -> None:
         {"model": "ward", "channels": [], "values": {}},
         {"model": "ward", "channels": ["R", "G"], "values": {"kd": [1, 2, 3]}}, {"model": 5, "values": {}},
         {"model": "ward", "values": {"kd": "x"}}, {"model": "", "values": {}}, {"values": {}}, [],
-        {"model": {"family": "ward", "lobes": 3}, "values": {}}, {"model": "ward", "values": {}, "x": 1},
+        {"model": {"family": "ward", "lobes": 3}, "values": {}},
+        {"model": "sum(lambert)", "values": {}}, {"model": "sum(lambert, lambert", "values": {}},
+        {"model": "sum(sum(sum(sum(sum(lambert,lambert),phong),phong),phong),phong)", "values": {}},
+        {"model": "torrance_sparrow:blinn:anisotropic", "values": {}},
+        {"model": "ward", "values": {}, "x": 1},
     ],
 )  # fmt: skip
 def test_bad_models(client: Any, body: Any) -> None:
@@ -108,7 +141,7 @@ def test_limits(serving: Any) -> None:
 
 def test_families_hold_the_parameter_tables(client: Any) -> None:
     found = {item["name"]: item for item in client.get("/v1/model-families").json()}
-    assert set(found) == set(models.FAMILIES)
+    assert {item["family"] for item in found.values()} == {*models.FAMILIES, *models.CANON}
     for name, item in found.items():
         names = [p.name for p in models.parameter_table(name)]
         assert [p["name"] for p in item["parameters"]] == names == list(item["values_schema"]["properties"])

@@ -16,30 +16,28 @@ Array = NDArray[Any]
 
 def ward(wi: Array, wo: Array, kd: Array, ks: Array, alpha: float) -> Array:
     """G. Ward 1992, isotropic."""
-    cos_i, cos_o, cos_h, _, above = _cosines(wi, wo)
+    cos_i, cos_o, cos_h, _, above = cosines(wi, wo)
     tan2 = (1.0 - cos_h**2) / cos_h**2
     lobe = np.exp(-tan2 / alpha**2) / (4 * np.pi * alpha**2 * np.sqrt(cos_i * cos_o))
-    return _sum(above, kd, lobe[:, None] * ks)
+    return total(above, kd, lobe[:, None] * ks)
 
 
 def torrance_sparrow(wi: Array, wo: Array, kd: Array, ks: Array, f0: Array, alpha: float) -> Array:
     """Beckmann, V-grooves, Schlick."""
-    cos_i, cos_o, cos_h, cos_d, above = _cosines(wi, wo)
+    cos_i, cos_o, cos_h, cos_d, above = cosines(wi, wo)
     tan2 = (1.0 - cos_h**2) / cos_h**2
     d = np.exp(-tan2 / alpha**2) / (np.pi * alpha**2 * cos_h**4)
     g = np.minimum(1.0, 2 * cos_h * np.minimum(cos_i, cos_o) / cos_d)
-    return _sum(above, kd, (d * g / (4 * cos_i * cos_o))[:, None] * ks * _schlick(cos_d, f0))
+    return total(above, kd, (d * g / (4 * cos_i * cos_o))[:, None] * ks * schlick(cos_d, f0))
 
 
 def ggx_smith(wi: Array, wo: Array, kd: Array, ks: Array, f0: Array, alpha: float) -> Array:
     """GGX, height-correlated Smith, Schlick."""
-    cos_i, cos_o, cos_h, cos_d, above = _cosines(wi, wo)
+    cos_i, cos_o, cos_h, cos_d, above = cosines(wi, wo)
     d = alpha**2 / (np.pi * (cos_h**2 * (alpha**2 - 1.0) + 1.0) ** 2)
-    lambda_i, lambda_o = (
-        0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 - c**2) / c**2) - 1.0) for c in (cos_i, cos_o)
-    )
+    lambda_i, lambda_o = (0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 - c**2) / c**2) - 1.0) for c in (cos_i, cos_o))
     g = 1.0 / (1.0 + lambda_i + lambda_o)
-    return _sum(above, kd, (d * g / (4 * cos_i * cos_o))[:, None] * ks * _schlick(cos_d, f0))
+    return total(above, kd, (d * g / (4 * cos_i * cos_o))[:, None] * ks * schlick(cos_d, f0))
 
 
 def lafortune(wi: Array, wo: Array, kd: Array, ks: Array, gamma: Array, n: Array) -> Array:
@@ -48,7 +46,7 @@ def lafortune(wi: Array, wo: Array, kd: Array, ks: Array, gamma: Array, n: Array
     plane = wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1]
     base = plane[:, None] * cxy + (wi[:, 2] * wo[:, 2])[:, None] * cz
     lobe = np.maximum(base / np.maximum(np.abs(cxy), np.abs(cz)), 0.0) ** n
-    return _sum((wi[:, 2] > 0) & (wo[:, 2] > 0), kd, lobe * ks * (n + 2) / (2 * np.pi))
+    return total((wi[:, 2] > 0) & (wo[:, 2] > 0), kd, lobe * ks * (n + 2) / (2 * np.pi))
 
 
 def oren_nayar(wi: Array, wo: Array, rho: Array, sigma: float) -> Array:
@@ -84,14 +82,18 @@ TRUTHS: Mapping[str, Mapping[str, Any]] = {
 
 def evaluate(name: str, wi: Array, wo: Array, values: Mapping[str, Any] | None = None) -> Array:
     """Model ``name`` at its truth or at ``values``, in the precision of the directions."""
-    given = TRUTHS[name] if values is None else values
+    return call(FUNCTIONS[name], wi, wo, TRUTHS[name] if values is None else values)
+
+
+def call(function: Callable[..., Array], wi: Array, wo: Array, given: Mapping[str, Any]) -> Array:
+    """``function`` with its parameters in the precision of the directions."""
     # Arrays of no dimension would widen float32 data; a plain float does not.
     typed = {k: float(v) if np.ndim(v) == 0 else np.asarray(v, wi.dtype) for k, v in given.items()}
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return FUNCTIONS[name](wi, wo, **typed)
+        return function(wi, wo, **typed)
 
 
-def _cosines(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array, Array]:
+def cosines(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array, Array]:
     """cos of theta_i, theta_o, theta_h, theta_d, and whether both directions are above the horizon."""
     h = wi + wo
     h = h / np.linalg.norm(h, axis=1, keepdims=True)
@@ -99,10 +101,10 @@ def _cosines(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array, Array]:
     return wi[:, 2], wo[:, 2], h[:, 2], cos_d, (wi[:, 2] > 0) & (wo[:, 2] > 0)
 
 
-def _schlick(cos_d: Array, f0: Array) -> Array:
+def schlick(cos_d: Array, f0: Array) -> Array:
     weight = (1.0 - cos_d) ** 5
     return f0 + (1.0 - f0) * weight[:, None]
 
 
-def _sum(above: Array, kd: Array, lobe: Array) -> Array:
+def total(above: Array, kd: Array, lobe: Array) -> Array:
     return np.where(above[:, None], kd / np.asarray(np.pi, lobe.dtype) + lobe, 0.0)

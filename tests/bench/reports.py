@@ -30,9 +30,7 @@ def run(size: Size) -> Iterator[Row]:
         canvas.savefig(out, format="svg")
         return len(out.getvalue())
 
-    times = alternate(
-        {"ours": lambda: report.build(table, fit).html(), "figure": draw}, size.pick(3, 1)
-    )
+    times = alternate({"ours": lambda: report.build(table, fit).html(), "figure": draw}, size.pick(3, 1))
     yield Row(
         case=f"report on {TABLE}, record and page",
         ours=times["ours"].seconds("report.build and html"),

@@ -68,7 +68,7 @@ def test_the_message_names_row_and_column(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "parameter"),
     [
-        (["--model", "phong"], "unknown-model", "model"),
+        (["--model", "gloss"], "unknown-model", "model"),
         (["--model", "ward:shiny"], "unknown-model", "model"),
         (["--model", "ward", "--model", "ward:ward1992"], "bad-call", "model"),
         (["--model", "ward", "--fixed", "roughness=0.1"], "unknown-parameter", "roughness"),

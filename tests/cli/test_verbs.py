@@ -18,6 +18,8 @@ import pytest
 
 import fitter
 from fitter import datasets
+from fitter.models import check
+from fitter.spec import OPTIONS, ModelSpec
 from tests.cli.conftest import Run, process
 
 
@@ -152,13 +154,31 @@ def test_samples_too_many_to_print(run: Run, plaster: Path) -> None:
 
 def test_models(run: Run) -> None:
     document = run("models", "--json").document
-    assert [model["name"] for model in document["models"]] == list(fitter.models.FAMILIES)
+    assert [model["family"] for model in document["models"]] == list(OPTIONS)
+    assert not document["missing"]
     for model in document["models"]:
         expected = [parameter.to_dict() for parameter in fitter.models.parameter_table(model["name"])]
         assert model["parameters"] == expected
+        assert model["summary"]
+    assert {model["family"] for model in document["models"] if model["fitted"]} == set(fitter.models.FAMILIES)
     assert run("models", "lafortune:2", "--json").document["models"][0]["name"] == "lafortune:2"
     assert "log-uniform" in run("models", "ward").out
-    assert run("models", "phong").status == 2
+    assert run("models", "wood").status == 2
+
+
+def test_models_check(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = run("models", "--check", "lambert", "--json")
+    assert (ran.status, ran.document["ok"]) == (0, True)
+    (model,) = ran.document["models"]
+    assert {"reciprocity", "chi-square p", "cost float32"} <= {figure["name"] for figure in model["figures"]}
+
+    def broken(spec: ModelSpec) -> None:
+        raise ZeroDivisionError(spec.name)
+
+    monkeypatch.setattr(check, "parameter_settings", broken)
+    ran = run("models", "--check", "lambert")
+    assert ran.status == 1
+    assert "lambert: FAILED" in ran.out
 
 
 def test_datasets(run: Run, tmp_path: Path) -> None:

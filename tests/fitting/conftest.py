@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 
 import fitter
-from fitter import models
+from fitter import directions, models
 
 
 def scattered(
-    model: models.ReflectanceModel, seed: int, n: int = 2000, noise: float = 0.01, sigma: bool = False
-) -> fitter.Table:
-    """Half of the samples near the mirror direction, half over the hemisphere; relative noise."""
+    model: models.ReflectanceModel, seed: int, n: int = 2000, noise: float = 0.01, sigma: bool = False,
+    azimuths: bool = False,
+) -> fitter.Table:  # fmt: skip
+    """Half of the samples near the mirror direction, half over the hemisphere; relative noise.
+
+    The light comes from azimuth 0, or from all ``azimuths``.
+    """
     rng = np.random.default_rng(seed)
     theta = rng.uniform(0.0, 1.3, n)
-    wi = np.stack([np.sin(theta), np.zeros(n), np.cos(theta)], axis=1)
+    phi_i = rng.uniform(0, 2 * np.pi, n) if azimuths else np.zeros(n)
+    wi = directions.vector_from_spherical(theta, phi_i)
     mu, phi = rng.uniform(0.05, 1.0, n), rng.uniform(0, 2 * np.pi, n)
     s = np.sqrt(1 - mu * mu)
     wo = np.stack([s * np.cos(phi), s * np.sin(phi), mu], axis=1)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 
 def delimited_bytes() -> bytes:
@@ -48,19 +47,112 @@ def alta_bytes() -> bytes:
     return "\n".join(rows).encode() + b"\n"
 
 
+def zemax_bytes() -> bytes:
+    rows = ["# Light source: laser (633 nm)", "Source\tMeasured", "Symmetry\tPlaneSymmetrical"]
+    rows += ["SpectralContent\tMonochrome", "ScatterType\tBRDF", "SampleRotation\t1", "0"]
+    rows += ["AngleOfIncidence\t2", "20\t60", "ScatterAzimuth\t3", "0\t90\t180", "ScatterRadial\t3"]
+    rows += ["0\t20\t40", "", "Monochrome", "DataBegin"]
+    rows += ["TIS\t0.1", "1.0\t0.5\t0.2", "1.0\t0.4\t0.1", "1.0\t0.3\t0.05"]
+    rows += ["TIS\t0.2", "2.0\t0.5\t0.2", "2.0\t0.4\t0.1", "2.0\t0.0e+00\t0.0e+00", "DataEnd"]
+    return "\n".join(rows).encode() + b"\n"
+
+
+def fred_bytes() -> bytes:
+    rows = ["type bsdf_data", "format angles=deg bsdf=value scale=1"]
+    for theta_i in (10, 30, 50):
+        rows.append(f"{theta_i}\t0")
+        for theta_s in (10, 30, 50, 70):
+            for phi_s in (0, 90, 180):
+                rows.append(f"{theta_s}\t{phi_s}\t{3.0 if phi_s == 0 and theta_s == theta_i else 0.1:.6f}")
+    return "\n".join(rows).encode() + b"\n"
+
+
+def pabopto_bytes(
+    theta_i: float = 30.0, phi_i: float = 0.0, quantity: str = "BSDF", name: str = "s"
+) -> bytes:
+    """Three reflected rows (mirror, retro, aside) and a transmitted one."""
+    rows = [f'#sample_name "{name}"', f"#intheta {theta_i}", f"#inphi {phi_i}", "#upphi 0"]
+    rows += ["#colorimetry: CIE-Y", f"#format: theta phi {quantity}", "#datapoints_in_file: 4"]
+    front = theta_i <= 90
+    rows += [f"{theta_i} {phi_i + 180} 2.0", f"{theta_i} {phi_i} 0.5"]
+    rows += [f"{60 if front else 120} {phi_i + 90} 0.25", f"{150 if front else 30} {phi_i + 180} 9.0"]
+    return "\r\n".join(rows).encode() + b"\r\n"
+
+
+def curet_files(samples: int = 2, seed: int = 1) -> tuple[bytes, bytes]:
+    """``(abrdf.dat, table.txt)`` of made-up values; geometry 1 is a mirror pair, 2 a retro pair."""
+    angles = [(0.5, 1.0, 0.5, 1.0 - math.pi), (0.5, 1.0, 0.5, 1.0)]
+    angles += [(0.2 + 0.005 * k, 0.01 * k, 0.9, 0.02 * k) for k in range(203)]
+    table = [f"{k:3d} " + " ".join(f"{a:11.6f}" for a in row) for k, row in enumerate(angles, start=1)]
+    lines = []
+    for sample in range(1, samples + 1):
+        values = [(sample * seed * (k + 7) % 97) / 100 for k in range(205)]
+        lines.append(f"{5 * sample:2d}  " + "".join(f"{v:8.3f}" for v in values))
+    return "\n".join(lines).encode() + b"\n", "\n".join(table).encode()
+
+
+def lighttools_bytes() -> bytes:
+    rows = ["# made up", "Symmetry Asymmetric", "SpectralContent Monochrome"]
+    rows += ["ScatterAzimuth 4", "0 90 180 270", "ScatterRadial 3", "20 40 60", "DataBegin"]
+    for aoi in (20, 40):
+        for kind in ("BRDF", "BTDF"):
+            rows += [f"AOI {aoi}", "POI 0", "Side Front", "Wavelength 550", f"ScatterType {kind}", "TIS 0.1"]
+            for phi in (0, 90, 180, 270):
+                rows.append(" ".join(str(4.0 if phi == 270 and r == aoi else 0.1) for r in (20, 40, 60)))
+    return "\n".join([*rows, "DataEnd", ""]).encode()
+
+
+def integra_bytes() -> bytes:
+    rows = ["; made up", "Source Measured", "TypeSym PlaneSymmetrical", "TypeColorModel rgb"]
+    rows += ["TypeData Luminance Absolute", "sigma 2", "20 60", "phi 3", "0 90 180", "theta 3", "0 20 40"]
+    for k, channel in enumerate(("red", "gre", "blu"), start=1):
+        rows += [channel, "kbdf", "1.0 0.5", "def"]
+        for _ in range(2):
+            rows += [f"{3.0 * k} {2.0 * k} {1.0 * k}"] * 3
+    return "\n".join([*rows, ""]).encode()
+
+
+def ssdd_bytes(data: str = "ascii", dtype: str = "f") -> bytes:
+    head = ["VERSION 0.3", "# made up", "DATA_TYPE specular_reflectance", "COLOR_MODEL monochrome"]
+    head += ["PARAM0_LIST 0 90", "DATA ascii", "0.05", "0.1", "DATA_TYPE brdf", "COLOR_MODEL rgb"]
+    head += ["PARAM_TYPE spherical_coordinate_system", "PARAM0_LIST 20 60", "PARAM2_LIST 20 40 60"]
+    head += ["PARAM3_LIST 0 90 180", "NAME made up", f"DATA {data}"]
+    values = []
+    for phi_o in (0, 90, 180):
+        for theta_o in (20, 40, 60):
+            for theta_i in (20, 60):
+                f = 8.0 if phi_o == 180 and theta_o == theta_i else 0.5
+                values.append((f, f / 2, f / 4))
+    start = "\n".join([*head, ""]).encode()
+    if data == "binary":
+        return start + b"".join(struct.pack(f"<3{dtype}", *row) for row in values)
+    return start + "".join(f"{r} {g} {b}\n" for r, g, b in values).encode()
+
+
 @dataclass(frozen=True)
 class Sample:
-    """A small file: its format's name, its bytes, how many samples it holds."""
+    """A small file: its format's name, its bytes, how many samples it holds.
+
+    gridded : whether its rows fill a product grid. counted : whether it says how many values it has.
+    """
 
     name: str
     data: bytes
     samples: int
-    options: dict[str, Any] = field(default_factory=dict)
+    gridded: bool = True
+    counted: bool = True
 
 
 SAMPLES = [
-    Sample("delimited", delimited_bytes(), 36),
+    Sample("delimited", delimited_bytes(), 36, counted=False),
     Sample("astm", astm_bytes(), 27),
     Sample("merl", merl_bytes(), 120),
-    Sample("alta", alta_bytes(), 27),
+    # Its projected azimuths come back with rounding of their own.
+    Sample("alta", alta_bytes(), 27, gridded=False, counted=False),
+    Sample("zemax", zemax_bytes(), 18, gridded=False),
+    Sample("lighttools", lighttools_bytes(), 24),
+    Sample("integra", integra_bytes(), 18, gridded=False),
+    Sample("ssdd", ssdd_bytes(), 18),
+    Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
+    Sample("fred", fred_bytes(), 36, counted=False),
 ]

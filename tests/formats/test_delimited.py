@@ -111,6 +111,25 @@ class TestDeclaration:
             load(text(*lines))
         assert caught.value.parameter == "item"
 
+    def test_mueller_elements_are_reported(self):
+        lines = (f"{HEADER},m12,m13,f_r44/f_r11,temperature", "30,30,180,1,0.1,0.2,0.3,20")
+        notes = load(text(*lines)).metadata.notes
+        assert any(note.startswith("3 Mueller elements (m12 ... f_r44/f_r11)") for note in notes)
+        assert "Columns not used: temperature." in notes
+
+    def test_columns_where_phi_is_the_zenith(self):
+        """Some satellite files call the polar angle phi; their mirror direction is at phi_o = +phi_i."""
+        declared = {
+            "phi_i": "theta_i_deg",
+            "theta_i": "phi_i_deg",
+            "phi_o": "theta_o_deg",
+            "theta_o": "phi_o_deg",
+        }
+        lines = ("phi_i theta_i phi_o theta_o brdf", "30 180 30 0 5", "30 -180 30 0 5", "30 180 -30 0 1")
+        table = load(text(*lines), columns=declared, duplicates="keep")
+        np.testing.assert_allclose(table.wo[:2], directions.mirror(table.wi[:2]), atol=1e-12)
+        np.testing.assert_allclose(table.wo[2], table.wi[2], atol=1e-12)
+
     def test_item_column(self):
         lines = (f"sheet,{HEADER}", "a b,30,30,180,1", "c,30,30,180,2")
         assert [t.metadata.provenance["item"] for t in load_all(text(*lines), columns={"sheet": "item"})] == [

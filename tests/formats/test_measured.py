@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import describe, load, load_all
 
@@ -97,8 +98,7 @@ def test_ptfe_by_declared_columns(shared: Path):
 
 @pytest.mark.parametrize(
     "name",
-    ["mdl/carpaint_blue.mbsdf", "rgl/aurora_white_rgb.bsdf", "ua_loft/AnoBlackEC1onAlum.bsdf",
-     "curet/abrdf.dat", "ua_loft/AnoBlackEC1onAlum.txt",
+    ["mdl/carpaint_blue.mbsdf", "rgl/aurora_white_rgb.bsdf",
      "curet/table.txt", "README.md", "nist_ptfe/PTFE.data.csv"],
 )  # fmt: skip
 def test_what_is_not_read_yet_is_a_typed_error(shared: Path, name: str):
@@ -106,3 +106,21 @@ def test_what_is_not_read_yet_is_a_typed_error(shared: Path, name: str):
         load_all(shared / "measured" / name)
     assert caught.value.file == name.split("/")[1] if "/" in name else "README.md"
     assert caught.value.remedy
+
+
+def test_curet(shared: Path):
+    folder = shared / "measured/curet"
+    tables = load_all(folder)
+    assert [t.metadata.provenance["sample"] for t in tables] == list(range(1, 46))
+    assert {len(t) for t in tables} == {205}
+    foil = load(folder / "abrdf.dat", item="15")
+    assert foil.hash == tables[14].hash == load(folder, item=15).hash
+    for table in (foil, tables[3], tables[11]):  # aluminium foil, rough plastic, rough paper: glossy
+        towards_mirror = (directions.mirror(table.wi) * table.wo).sum(axis=1)
+        towards_light = (table.wi * table.wo).sum(axis=1)
+        best = np.argsort(table.value[:, 0])[-3:]
+        assert (towards_mirror[best] > 0.98).all()
+        assert (towards_light[best] < 0).all()
+    level = np.array([np.mean(t.value[t.mask]) for t in tables])
+    assert (level < 0.5).all()
+    assert (level > 0.01).all()

@@ -1,24 +1,74 @@
-"""Every model the suite runs over, from the options the specification knows."""
+"""Every model the suite runs over: a covering design made from the options the specification knows.
+
+Not the full product: each family's default, each value of each option, each allowed pair of the options that
+meet in one expression (PAIRS), and composites of each kind.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from functools import cache
 
-from fitter.spec import FAMILIES, MAX_LOBES, OPTIONS, ModelSpec
+from fitter import SpecError
+from fitter.spec import OPTIONS, ModelSpec, model_spec
+
+#: Options whose interplay has code of its own: each allowed pair of values occurs in some model.
+PAIRS = (("ndf", "masking"), ("fresnel", "diffuse"), ("anisotropic", "ndf"))
+
+#: Composites beyond a composite's options over Lambertian parts: deltas, transmission, anisotropic parts.
+COMPOSITES = (
+    "sum(ward:no_diffuse, lambert)",
+    "sum(specular:schlick, lambert)",
+    "sum(torrance_sparrow:ggx:smith:anisotropic:no_diffuse, phong:no_diffuse, oren_nayar)",
+    "layered(ward:anisotropic)",
+    "rough_facets(oren_nayar:fujii)",
+)
 
 
-def _every() -> tuple[str, ...]:
-    names: list[str] = []
-    for family in FAMILIES:
-        options = OPTIONS[family]
-        for chosen in itertools.product(*options.values()):
-            names += [
-                ModelSpec(family=family, lobes=lobes, **dict(zip(options, chosen, strict=True))).name
-                for lobes in range(1, MAX_LOBES.get(family, 1) + 1)
-            ]
-        if family != "oren_nayar":
-            names.append(f"{family}:no_diffuse")
-    return tuple(names)
+def _all(family: str) -> Iterator[ModelSpec]:
+    """Every allowed specification of a family, options nearest to the defaults first."""
+    options = OPTIONS[family]
+    axes = dict(options.choices)
+    axes["diffuse"] = options.diffuse or (None,)
+    axes["anisotropic"] = (False, True) if options.anisotropic else (False,)
+    axes["lobes"] = tuple(range(1, options.max_lobes + 1))
+    count = len(options.parts) if options.fewest is None else options.fewest
+    parts = tuple(ModelSpec(family="lambert") for _ in range(count))
+    combinations = itertools.product(*(range(len(values)) for values in axes.values()))
+    for chosen in sorted(combinations, key=lambda c: sum(k > 0 for k in c)):
+        fields = {name: values[k] for (name, values), k in zip(axes.items(), chosen, strict=True)}
+        try:
+            yield model_spec({"family": family, "components": parts, **fields})
+        except SpecError:
+            continue  # options that exclude each other
 
 
-MODELS = _every()
+def _covers(spec: ModelSpec) -> set[tuple[tuple[str, object], ...]]:
+    """The values, and pairs of values, of options that a specification exercises."""
+    options = OPTIONS[spec.family]
+    names = [*options.choices, "anisotropic", "lobes", *(["diffuse"] if options.diffuse else [])]
+    single = {((name, getattr(spec, name)),) for name in names}
+    pairs = [(a, b) for a, b in PAIRS if a in names and b in names]
+    if "coupled" not in options.diffuse:
+        pairs = [pair for pair in pairs if "diffuse" not in pair]  # an additive term meets nothing
+    return single | {((a, getattr(spec, a)), (b, getattr(spec, b))) for a, b in pairs}
+
+
+@cache
+def covering(family: str) -> tuple[str, ...]:
+    """Few models of a family that exercise all there is to cover, its default first."""
+    every = [(spec, _covers(spec)) for spec in _all(family)]
+    chosen, covered = [every[0][0]], set(every[0][1])
+    # Greedy: the first of those that add most, so that ties go to the nearest to the default.
+    while best := max(every, key=lambda one: len(one[1] - covered), default=None):
+        if best[1] <= covered:
+            break
+        chosen.append(best[0])
+        covered |= best[1]
+    return tuple(spec.name for spec in chosen)
+
+
+MODELS = tuple(
+    dict.fromkeys([*(name for family in OPTIONS for name in covering(family)), *COMPOSITES])
+)  # fmt: skip

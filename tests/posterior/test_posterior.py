@@ -204,3 +204,55 @@ def test_a_lobe_that_the_table_does_not_show_has_a_proper_posterior():
     assert post.draws[:, k].max() <= 100 * np.pi * np.abs(table.value).max() * 1.0001
     k = post.labels.index("kd[value]")
     assert post.draws[:, k].mean() == pytest.approx(0.3, rel=0.02)
+
+
+# Mixed parameters, coefficients that are not free, anisotropic surfaces ---------------------------------
+
+
+@pytest.mark.parametrize(
+    ("spec", "values"),
+    [
+        ("oren_nayar:eon", {"rho": [0.3, 0.9], "sigma": 0.5}),
+        (ModelSpec(family="lafortune", per_channel=("n",)), {"kd": 0.2, "gamma": 0.8, "n": [20.0, 40.0]}),
+        # The mode at the end of psi's half turn.
+        ("ward:anisotropic", {"kd": 0.1, "ks": 0.05, "alpha_x": 0.1, "alpha_y": 0.3, "psi": 1.57}),
+    ],
+)
+def test_posteriors_of_every_kind_of_parameter(spec, values):
+    model = models.create(spec, **values)
+    table = scattered(model, seed=1, n=300, noise=0.05, sigma=True, azimuths=True)
+    fit = fitter.fit(table, model.spec)
+    post = fitter.posterior(table, fit, **QUICK)
+    assert post.status == "converged", post.message
+    assert post.labels == fit.labels
+    u = np.sqrt(np.diagonal(fit.covariance))
+    for k, (label, interval) in enumerate(post.intervals(0.9999).items()):
+        name, _, channel = label.partition("[")
+        true = np.asarray(model.values[name])
+        true = float(true[model.channels.index(channel[:-1])] if true.ndim else true)
+        assert interval["lower"] < true < interval["upper"], label
+        assert interval["sd"] == pytest.approx(u[k], rel=0.2), label
+    assert np.isfinite(np.asarray(post.models(3)[1].evaluate(table.wi, table.wo))).all()
+
+
+def test_an_azimuth_that_the_data_leave_open_is_spread_over_its_half_turn():
+    """And the axes keep their order: one mode, walkers that agree, no proposals that run away."""
+    model = models.create("ward", kd=0.1, ks=0.05, alpha=0.1)
+    table = scattered(model, seed=1, n=300, noise=0.05, sigma=True, azimuths=True)
+    post = fitter.posterior(table, fitter.fit(table, "ward:anisotropic"), **QUICK)
+    assert post.status == "converged", post.message
+    along, across, psi = (post.draws[:, post.labels.index(name)] for name in ("alpha_x", "alpha_y", "psi"))
+    assert (along <= across).all()
+    assert np.ptp(psi) <= np.pi * (1 + 1e-9)
+    # Some of it everywhere: an eighth of the half turn has a sixteenth of an even share.
+    assert np.histogram(psi, bins=8)[0].min() > len(psi) / 128
+
+
+def test_an_open_coordinate_stays_within_images_of_its_range():
+    places = layout(FitSpec(model=ModelSpec.parse("ward")))
+    nothing = np.zeros((1, 1))
+    density = Density(
+        places, np.zeros((6, 1)), nothing, nothing + 1, np.zeros(3), np.array([np.inf, 1.0, 3.0])
+    )
+    x = np.array([[-50.0, 0.5, 1.0], [9.0, -1.0, 6.0], [0.0, -1.1, 0.0], [0.0, 0.0, 6.1]])
+    assert density.within(x).tolist() == [True, True, False, False]

@@ -131,12 +131,21 @@ def test_a_scale_uncertainty_is_a_component_of_the_linear_parameters(
 def test_scale_sensitivity_is_that_of_a_table_in_other_units(family: str) -> None:
     model = models.create(family, **({"ks": 0.3, "f0": 0.2} if family == "torrance_sparrow" else {}))
     kind = type(model)
-    coefficients = kind.coefficients(model.spec, model.linear)
-    scaled = kind.linear_from(model.spec, tuple(1.01 * c for c in coefficients))
+    coefficients = kind.coefficients(model.spec, model.linear, model.nonlinear)
+    scaled = kind.linear_from(model.spec, tuple(1.01 * c for c in coefficients), model.nonlinear)
     for name, slope in scale_sensitivity(model).items():
         change = (np.asarray(scaled[name]) - np.asarray(model.linear[name])) / 0.01
         np.testing.assert_allclose(slope, change, rtol=1e-9, atol=1e-12)
         assert name != "f0" or slope == 0
+
+
+@pytest.mark.parametrize("name", ["oren_nayar:full", "oren_nayar:eon"])
+def test_scale_sensitivity_where_the_albedo_enters_twice(name: str) -> None:
+    """rho and rho^2 together: a brighter table moves rho by a little less than its share."""
+    model = models.create(name, rho=[0.001, 0.5, 0.9], sigma=0.5)
+    share = scale_sensitivity(model)["rho"] / np.asarray(model.values["rho"])
+    assert share[0] == pytest.approx(1.0, abs=1e-3)
+    assert 0.8 < share[2] < share[1] < share[0]
 
 
 def test_residuals_of_a_known_misfit(make_table: MakeTable, make_fit: MakeFit) -> None:

@@ -33,7 +33,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
 
 def _show(described: dict[str, Any], screen: Screen) -> None:
-    drawn = ("channels", "peaks")
+    drawn = ("channels", "peaks", "notes")
     screen.fields(_flat({name: value for name, value in described.items() if name not in drawn}))
     columns = ("channel", "wavelength nm", "least 1/sr", "median 1/sr", "largest 1/sr")
     keys = ("name", "wavelength_nm", "min_per_sr", "median_per_sr", "max_per_sr")
@@ -47,6 +47,10 @@ def _show(described: dict[str, Any], screen: Screen) -> None:
             columns,
             [[number(p["theta_i_deg"]), *(_peak(p[side]) for side in sides)] for p in described["peaks"]],
         )
+    if described["notes"]:
+        screen.line()
+        for note in described["notes"]:
+            screen.line(f"- {note}")
 
 
 def _peak(peak: dict[str, float] | None) -> str:

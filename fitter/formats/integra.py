@@ -1,0 +1,203 @@
+"""Integra .ddr text: luminance or intensity coefficients on polar grids about the specular direction.
+
+A value of 1 is a white diffuser's, so luminance data are reflectance factors and intensity data have the
+cosine in them; "Absolute" values are multiplied by the block's kbdf, as libbsdf (K. Ryo) reads these files.
+"Relative" values are scaled so that kbdf is the reflectance, which needs an integral over the whole
+hemisphere: refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.formats import geometry as geo
+from fitter.formats import specular
+from fitter.formats.assemble import ABOUT_SPECULAR, QUANTITY_REMEDY, Reading, assemble, stated_quantity
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.registry import Format
+from fitter.formats.source import Source
+from fitter.formats.tokens import Tokens
+from fitter.table import Channel, Quantity, Table
+
+FloatArray = NDArray[np.float64]
+
+NAME = "integra"
+_CHANNELS = {"red": "R", "gre": "G", "green": "G", "blu": "B", "blue": "B"}
+_LISTS = {"psi": 360.0, "sigma": 90.0, "phi": 360.0, "theta": 180.0}
+_SYMMETRIES = ("AxiSymmetrical", "DirSymmetrical", "PlaneSymmetrical", "ASymmetrical")
+
+
+def sniff(head: bytes, size: int) -> float:
+    """Sure of a text with TypeColorModel and TypeSym or sigma lines."""
+    found = [
+        re.search(rb"(?:^|[\r\n])[ \t]*(?:" + key + rb")[ \t]", head, re.IGNORECASE) is not None
+        for key in (rb"TypeColorModel", rb"TypeSym|sigma")
+    ]
+    return (0.0, 0.55, 0.96)[sum(found)] if found[0] else 0.0
+
+
+@dataclass
+class _Head:
+    words: dict[str, str] = field(default_factory=dict[str, str])
+    lists: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    count: int = 1
+
+
+def read(source: Source, options: ReadOptions) -> list[Table]:
+    """The table of a DDR file. SDR (specular reflectance only) and transmission files are refused."""
+    if source.name and source.name.lower().endswith((".ddt", ".sdt")):
+        raise source.error(
+            "Integra calls files of transmission .ddt and .sdt", "table-transmission",
+            remedy="use the .ddr file; if this is one that was renamed, call it so",
+        )  # fmt: skip
+    tokens = Tokens(source, ";")
+    head = _head(tokens)
+    quantity, notes = _quantity(tokens, head, options)
+    psi, sigma, phi, theta = (head.lists[key] for key in _LISTS)
+    shape = (len(psi), len(sigma), len(phi), len(theta))
+    channels: list[Channel] = []
+    values: list[FloatArray] = []
+    factors: dict[str, list[float]] = {}
+    while tokens.left:
+        channels.append(_channel(tokens, head, channels))
+        channel = channels[-1]
+        block, kbdf = _block(tokens, shape)
+        values.append(block)
+        if kbdf is not None:
+            factors[channel.name] = kbdf.reshape(-1).tolist()
+    if len(channels) != head.count:
+        raise tokens.truncated(f"the file has {len(channels)} channels and should have {head.count}")
+    p, i, a, r = (c.reshape(-1) for c in np.meshgrid(psi, sigma, phi, theta, indexing="ij"))
+    pole = np.interp(i, sigma, head.lists["sigmaT"]) if "sigmaT" in head.lists else i
+    geometry = geo.from_directions(
+        directions.vector_from_spherical(i, p), specular.outgoing(pole, p, r, a),
+        "about the specular direction", symmetric=len(psi) == 1,
+    )  # fmt: skip
+    notes = [ABOUT_SPECULAR, *notes]
+    if head.words.get("TypeSym", "").startswith(("Axi", "Dir", "Plane")):
+        notes.append(f"The file states {head.words['TypeSym']}; only what it holds is in the table.")
+    if factors:
+        notes.append("Values were multiplied by the kbdf of their incidence.")
+    notes.append("The form is that of a transmission file (.ddt) too: nothing in it tells them apart.")
+    reading = Reading(
+        NAME, quantity, np.stack([v.reshape(-1) for v in values], axis=1), channels,
+        symmetry="isotropic" if len(psi) == 1 else "anisotropic",
+        provenance={**head.words, "comments": tokens.comments, "kbdf": factors}, notes=tuple(notes),
+    )  # fmt: skip
+    return [assemble(source, options, reading, geometry)]
+
+
+FORMAT = Format(NAME, "Integra DDR text, polar about the specular direction", (), sniff, read)
+
+
+def _head(tokens: Tokens) -> _Head:
+    head = _Head()
+    while tokens.peek().lower() not in ("wl", "bw", *_CHANNELS):
+        key = tokens.word("the first block of values")
+        match key.lower():
+            case "source":
+                head.words["Source"] = tokens.word(key)
+            case "typesym":
+                head.words["TypeSym"] = tokens.chosen(key, _SYMMETRIES)
+                if head.words["TypeSym"] == "ASymmetrical" and tokens.peek() == "4D":
+                    head.words["TypeSym"] += " " + tokens.word("4D")
+            case "typecolormodel":
+                head.words["TypeColorModel"] = tokens.chosen(key, ("rgb", "spectral", "bw"))
+                spectral = head.words["TypeColorModel"] == "spectral"
+                head.count = (
+                    tokens.count(key) if spectral else 3 if head.words["TypeColorModel"] == "rgb" else 1
+                )
+            case "typedata":
+                of = tokens.chosen(key, ("Luminance", "Intensity"))
+                head.words["TypeData"] = f"{of} {tokens.chosen(key, ('Absolute', 'Relative'))}"
+            case "sigmat":
+                sigma = head.lists.get("sigma")
+                if sigma is None:
+                    raise tokens.error(
+                        "sigmaT comes before sigma",
+                        "table-header",
+                        column="sigmaT",
+                        remedy="write sigma first",
+                    )
+                head.lists["sigmaT"] = tokens.angles(key, 180.0, count=len(sigma))
+            case "psi" | "sigma" | "phi" | "theta" as name:
+                head.lists[name] = tokens.angles(key, _LISTS[name])
+            case _:
+                raise tokens.error(
+                    f"{key[:40]!r} is no line of an Integra header", "table-header", cause="a damaged header",
+                    remedy="begin comments with a semicolon",
+                )  # fmt: skip
+    if "sigma" in head.lists and not {"phi", "theta"} & set(head.lists):
+        raise tokens.error(
+            "the file holds specular reflectance against the angle of incidence (SDR), no BRDF",
+            "table-specular-only", remedy="use the .ddr file of the same sample",
+        )  # fmt: skip
+    head.lists.setdefault("psi", np.zeros(1))
+    missing = [key for key in ("sigma", "phi", "theta") if key not in head.lists]
+    missing += ["TypeColorModel"] * ("TypeColorModel" not in head.words)
+    if missing:
+        raise tokens.error(
+            f"the header has no {', '.join(missing)}", "table-header", cause="a damaged header",
+            remedy="fetch the file again",
+        )  # fmt: skip
+    return head
+
+
+def _quantity(tokens: Tokens, head: _Head, options: ReadOptions) -> tuple[Quantity, list[str]]:
+    stated = head.words.get("TypeData", "")
+    if stated.endswith("Relative"):
+        raise tokens.error(
+            f"TypeData is {stated}: the values have no scale of their own", "table-quantity",
+            column="TypeData", remedy="export the file with absolute values",
+        )  # fmt: skip
+    if stated:
+        return stated_quantity(options, "ccbrdf" if stated[0] == "I" else "reflectance_factor", stated)
+    if options.quantity is None:
+        raise tokens.error(
+            "the header has no TypeData, so it does not say what its values are", "table-quantity",
+            parameter="quantity", remedy=QUANTITY_REMEDY,
+        )  # fmt: skip
+    return options.quantity, []
+
+
+def _channel(tokens: Tokens, head: _Head, before: list[Channel]) -> Channel:
+    model = head.words["TypeColorModel"]
+    key = tokens.chosen("a channel", ("wl", "bw", *_CHANNELS))
+    if key not in {"spectral": ("wl",), "bw": ("bw",), "rgb": tuple(_CHANNELS)}[model]:
+        raise tokens.error(
+            f"a block {key} does not belong to color model {model}", "table-header", column=key,
+            remedy="correct TypeColorModel",
+        )  # fmt: skip
+    channel = Channel(_CHANNELS.get(key, "value"))
+    if key == "wl":
+        nm = float(tokens.numbers(1, "wl")[0])
+        if not 0 < nm < 1e6:
+            raise tokens.error(
+                f"the wavelength is {nm:g} nm", "table-header", column="wl", remedy="write it in nm"
+            )
+        channel = Channel(f"{nm:g}nm", nm)
+    if channel.name in [one.name for one in before]:
+        raise tokens.error(
+            f"channel {channel.name} is there twice", "table-header", column=key,
+            remedy="give each channel one block",
+        )  # fmt: skip
+    return channel
+
+
+def _block(tokens: Tokens, shape: tuple[int, int, int, int]) -> tuple[FloatArray, FloatArray | None]:
+    """Values (psi, sigma, phi, theta) and the factors (psi, sigma) they were multiplied by."""
+    kbdf = None
+    if tokens.chosen("kbdf or def", ("kbdf", "def")) == "kbdf":
+        kbdf = tokens.numbers(shape[0] * shape[1], "kbdf").reshape(shape[:2])
+        tokens.chosen("def", ("def",))
+    values = tokens.numbers(math.prod(shape), "BSDF values").reshape(shape)
+    if kbdf is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = values * kbdf[:, :, None, None]
+    return values, kbdf

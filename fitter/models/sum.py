@@ -1,0 +1,62 @@
+"""A sum of other models: f = f_a + f_b + ..., each with parameters of its own (prefix a_, b_, ...)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from fitter.models import composite
+from fitter.models.base import ReflectanceModel
+from fitter.models.lobes import Delta, Lobe
+from fitter.models.pair import Pair
+from fitter.models.parameters import Parameter
+from fitter.spec import ModelSpec
+
+
+class Sum(ReflectanceModel):
+    family: ClassVar[str] = "sum"
+
+    @staticmethod
+    def parameter_table(spec: ModelSpec) -> tuple[Parameter, ...]:
+        return composite.parameters(spec)
+
+    def value(self, p: Pair) -> Array:
+        parts = [part.value(p) for part in composite.parts(self)]
+        return jnp.sum(jnp.stack(parts), axis=0)
+
+    @staticmethod
+    def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
+        return [lobe for kind, inner, own in composite.kinds(spec, values) for lobe in kind.lobes(inner, own)]
+
+    @staticmethod
+    def deltas(
+        spec: ModelSpec, values: Mapping[str, Array], x: Array, y: Array, z: Array
+    ) -> tuple[Delta, ...]:
+        return tuple(
+            delta
+            for kind, inner, own in composite.kinds(spec, values)
+            for delta in kind.deltas(inner, own, x, y, z)
+        )
+
+    @staticmethod
+    def transmits(spec: ModelSpec) -> bool:
+        return any(kind.transmits(inner) for kind, inner in composite.families(spec))
+
+    @staticmethod
+    def refractive_index(spec: ModelSpec, values: Mapping[str, Array]) -> Array:
+        """That of the first component that transmits."""
+        for kind, inner, own in composite.kinds(spec, values):
+            if kind.transmits(inner):
+                return kind.refractive_index(inner, own)
+        return ReflectanceModel.refractive_index(spec, values)
+
+    @staticmethod
+    def reciprocal(spec: ModelSpec) -> bool:
+        return all(kind.reciprocal(inner) for kind, inner in composite.families(spec))
+
+    @staticmethod
+    def isotropic(spec: ModelSpec) -> bool:
+        return all(kind.isotropic(inner) for kind, inner in composite.families(spec))

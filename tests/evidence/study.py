@@ -1,0 +1,50 @@
+"""What a study is: a module of this package with an attribute ``STUDY``, found by name."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a study found out about one model; JSON-ready.
+
+    figures : by column; violations : each a sentence-like record of one point that broke the bound.
+    """
+
+    figures: Mapping[str, Any]
+    violations: Sequence[Mapping[str, Any]] = ()
+
+
+@dataclass(frozen=True)
+class Study:
+    """One question asked of every model.
+
+    claim : what has to hold, in a sentence for the page; judge : (model name, share, seed) -> Outcome, in a
+    process of its own; ``share`` scales the number of points; skipped : model name -> why it is not asked.
+    """
+
+    name: str
+    title: str
+    claim: str
+    columns: tuple[str, ...]
+    models: Callable[[], Sequence[str]]
+    judge: Callable[[str, float, int], Outcome]
+    skipped: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+def studies() -> dict[str, Study]:
+    """Every study of the package, by name."""
+    package = importlib.import_module("tests.evidence")
+    found: dict[str, Study] = {}
+    for module in sorted(one.name for one in pkgutil.iter_modules(package.__path__)):
+        if module.startswith(("test_", "__")):
+            continue
+        study = getattr(importlib.import_module(f"tests.evidence.{module}"), "STUDY", None)
+        if isinstance(study, Study):
+            found[study.name] = study
+    return found
