@@ -11,7 +11,7 @@ width float32 directions can't resolve the lobe. Reciprocal.
 
 A metal never gains energy; a dielectric does at grazing, where 1 - F of the half vector dims the diffuse term
 too little: the albedo of a white one at cos_i = 1e-3 is 1.02 for roughness 1, 1.10 for 0.6, 1.77 for 0.1 and
-1.96 for 0.
+1.92 for 0.
 
 For given metallic and roughness three terms, whose coefficients are functions of base_color alone.
 """
@@ -28,7 +28,7 @@ from jax import Array
 from fitter.models.base import SeparableModel
 from fitter.models.fresnel import schlick_rest, schlick_weight
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
-from fitter.models.masking import smith
+from fitter.models.masking import facets
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
@@ -60,8 +60,7 @@ class MetallicRoughness(SeparableModel):
         above = p.above
         p = p.lifted()
         h = Half.of(p)
-        normals = _facets(nonlinear["roughness"])
-        lobe = normals.density(h) * smith(p, h, normals)
+        lobe = facets("smith", p, h, _normals(nonlinear["roughness"]))
         diffuse = schlick_rest(p, h) / math.pi
         return tuple(jnp.where(above, term, 0.0) for term in (diffuse, lobe, lobe * schlick_weight(p, h)))
 
@@ -96,10 +95,10 @@ class MetallicRoughness(SeparableModel):
         f0 = _DIELECTRIC_F0 * (1.0 - metallic) + base * metallic
         # Cosine average of Schlick's term: F0 + (1 - F0)/21.
         share = jnp.mean(f0 + (1.0 - f0) / 21.0) / len(widths)
-        found: list[tuple[Lobe, Array]] = [(VisibleNormalLobe(_facets(width)), share) for width in widths]
+        found: list[tuple[Lobe, Array]] = [(VisibleNormalLobe(_normals(width)), share) for width in widths]
         return [*found, (CosineLobe(), jnp.mean(base * (1.0 - metallic) * (1.0 - f0)))]
 
 
-def _facets(roughness: Array) -> GGX:
+def _normals(roughness: Array) -> GGX:
     alpha = roughness * roughness
     return GGX(Isotropic(jnp.where(alpha > _SMALLEST_ALPHA, alpha, _SMALLEST_ALPHA)))

@@ -44,8 +44,10 @@ class Ward(SeparableModel):
         # The root of e, twice: it underflows only where the product has.
         root = jnp.exp(-0.5 * rough.slope2(h.x, h.y, h.z))
         if spec.variant == "bounded":
-            z2 = h.z * h.z
-            lobe = root * (root * h.squared / (math.pi * rough.area * z2 * z2))
+            # A power of 1/H_z, not a quotient by H_z^4: the quotient's slope has H_z^-8, past float32's range.
+            steep = 1.0 / h.z
+            steep2 = steep * steep
+            lobe = root * (root * (h.squared * steep2) * (steep2 / (math.pi * rough.area)))
         elif spec.variant == "duer":
             lobe = root * (root / (4 * math.pi * rough.area * p.iz * p.oz))
         else:
