@@ -21,7 +21,7 @@ from fitter.formats.assemble import ABOUT_SPECULAR, TRISTIMULUS, Reading, assemb
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
-from fitter.formats.text import MISSING
+from fitter.formats.text import number
 from fitter.table import Channel, Table
 
 FloatArray = NDArray[np.float64]
@@ -221,13 +221,13 @@ def _data(source: Source, data: bytes, cursor: _Cursor, block: _Block, mode: str
 
 
 def _value(source: Source, word: str, row: int) -> float:
-    try:
-        return np.nan if word.lower() in MISSING else float(word)
-    except ValueError:
-        raise source.error(
-            f"{word[:40]!r} is not a number", "table-not-a-number", row=row,
-            cause="the lists of the header are longer than the data", remedy="mend the number or the lists",
-        ) from None  # fmt: skip
+    found = number(word)
+    if found is not None:
+        return found
+    raise source.error(
+        f"{word[:40]!r} is not a number", "table-not-a-number", row=row,
+        cause="the lists of the header are longer than the data", remedy="mend the number or the lists",
+    )  # fmt: skip
 
 
 def _table(

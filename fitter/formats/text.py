@@ -85,13 +85,9 @@ class Rows:
             )  # fmt: skip
 
     def _number(self, cell: str, k: int, column: int) -> float:
-        if cell.lower() in MISSING:
-            return np.nan
-        try:
-            if "_" not in cell:  # Python reads 1_0 as 10, no instrument writes that
-                return float(cell)
-        except ValueError:
-            pass
+        found = number(cell)
+        if found is not None:
+            return found
         decimal_comma = cell.count(",") == 1 and cell.replace(",", "").replace("-", "").isdecimal()
         raise self.source.error(
             f"{cell[:40]!r} is not a number", "table-not-a-number", row=int(self.numbers[k]),
@@ -99,6 +95,18 @@ class Rows:
             remedy="write decimals with a point" if decimal_comma
             else "mend the cell, or leave it empty (or nan) where nothing was measured",
         )  # fmt: skip
+
+
+def number(word: str) -> float | None:
+    """The number that a word stands for, NaN for the usual words of a missing one; None if it is none."""
+    if word.lower() in MISSING:
+        return np.nan
+    if "_" in word:  # Python reads 1_0 as 10, no instrument writes that
+        return None
+    try:
+        return float(word)
+    except ValueError:
+        return None
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
@@ -113,10 +121,4 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 def is_number(cell: str) -> bool:
     """Whether a cell is a number or a mark for a missing one."""
-    if cell.lower() in MISSING:
-        return True
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return number(cell) is not None

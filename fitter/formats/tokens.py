@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitter.errors import TableError
 from fitter.formats.source import Source
-from fitter.formats.text import MISSING
+from fitter.formats.text import number
 
 FloatArray = NDArray[np.float64]
 
@@ -125,13 +125,9 @@ class Tokens:
         return self.source.error(message, code, row=self.row, **keywords)
 
     def _number(self, word: str, what: str) -> float:
-        if word.lower() in MISSING:
-            return np.nan
-        try:
-            if "_" not in word:
-                return float(word)
-        except ValueError:
-            pass
+        found = number(word)
+        if found is not None:
+            return found
         raise self.error(
             f"{word[:40]!r} is not a number", "table-not-a-number", column=what,
             cause="a value is missing before it, so that the counts don't fit" if word[0].isalpha() else None,

@@ -25,10 +25,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from fitter.models.base import SeparableModel
+from fitter.models.base import SeparableModel, quotient
 from fitter.models.diffuse import KD
-from fitter.models.fresnel import schlick_weight
-from fitter.models.lobes import CosineLobe, Lobe
+from fitter.models.fresnel import schlick_average, schlick_weight
+from fitter.models.lobes import CosineLobe, Lobe, upper_half
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
 from fitter.models.phong_lobe import EXPONENT
@@ -81,7 +81,7 @@ class AshikhminShirley(SeparableModel):
     ) -> dict[str, Array]:
         diffuse, rs, rest = coefficients
         # Under a perfect mirror the diffuse term means nothing: 0 keeps it finite.
-        return {"rd": jnp.where(rest > 0, diffuse / jnp.where(rest > 0, rest, 1.0), 0.0), "rs": rs}
+        return {"rd": quotient(diffuse, rest), "rs": rs}
 
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:
@@ -93,8 +93,7 @@ class AshikhminShirley(SeparableModel):
         del spec
         rd, rs = values["rd"], values["rs"]
         each = jnp.broadcast_arrays(*(jnp.atleast_1d(values[name]) for name in ("nu", "nv", "psi")))
-        # Cosine average of Schlick's term: F0 + (1 - F0)/21.
-        share = jnp.mean(rs + (1.0 - rs) / 21.0) / len(each[0])
+        share = jnp.mean(schlick_average(rs)) / len(each[0])
         found: list[tuple[Lobe, Array]] = [
             (HalfVectorPower(nu, nv, psi), share) for nu, nv, psi in zip(*each, strict=True)
         ]
@@ -136,12 +135,7 @@ class HalfVectorPower(eqx.Module):
 
     def pdf(self, p: Pair) -> Array:
         """p(h)/(4 h.wi), h.wi = |H|/2; 0 for half vectors below the horizon, which are never drawn."""
-        h = Half.of(p)
-        ok = (h.z > 0) & (h.squared > 1e-24)
-        h = Half(
-            jnp.where(ok, h.x, 0.0), jnp.where(ok, h.y, 0.0), jnp.where(ok, h.z, 1.0),
-            jnp.where(ok, h.squared, 1.0),
-        )  # fmt: skip
+        h, ok = upper_half(p)
         return jnp.where(ok, self.density(h) / (2.0 * jnp.sqrt(h.squared)), 0.0)
 
 

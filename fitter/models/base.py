@@ -38,6 +38,8 @@ class ReflectanceModel(eqx.Module):
     values: dict[str, Array]
 
     family: ClassVar[str]
+    #: What float32 may differ from float64 relatively, beside the rounding of its inputs.
+    float32_error: ClassVar[float] = 1e-5
 
     # What a family declares -------------------------------------------------------------------------
 
@@ -241,6 +243,12 @@ class SeparableModel(ReflectanceModel):
         for term, coefficient in zip(terms[1:], coefficients[1:], strict=True):
             total = total + term * coefficient
         return total
+
+
+def quotient(part: Array, whole: Array) -> Array:
+    """part/whole, and 0 where there is no whole: what a parameter without effect is set to."""
+    some = whole > 0
+    return jnp.where(some, part / jnp.where(some, whole, 1.0), 0.0)
 
 
 @eqx.filter_jit

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models.base import SeparableModel
-from fitter.models.diffuse import KS, masked_terms, with_diffuse
-from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe
+from fitter.models.diffuse import KS, diffuse_lobes, masked_terms, with_diffuse
+from fitter.models.lobes import HalfVectorLobe, Lobe
 from fitter.models.ndf_blinn import Blinn
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
@@ -46,6 +46,4 @@ class BlinnPhong(SeparableModel):
         exponents = jnp.atleast_1d(values["n"])
         share = jnp.mean(values["ks"]) / len(exponents)
         found: list[tuple[Lobe, Array]] = [(HalfVectorLobe(Blinn(n)), share) for n in exponents]
-        if spec.diffuse == "lambert":
-            found.append((CosineLobe(), jnp.mean(values["kd"])))
-        return found
+        return [*found, *diffuse_lobes(spec, values)]

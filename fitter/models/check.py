@@ -34,8 +34,6 @@ RANDOM_PAIRS = 100
 #: Pairs a timing takes, and the fewer of models that integrate at every pair: whose values and slopes take
 #: more than DEAR seconds each.
 TIMED_PAIRS, TIMED_DEAR, DEAR = 2**16, 2**10, 2e-4
-#: What float32 may differ from float64 relatively, beside the rounding of its inputs.
-FLOAT32_ERROR = 1e-5
 #: Smaller values, 1/sr, are not normal numbers in float32.
 SMALLEST = 1e-37
 
@@ -165,7 +163,7 @@ def _precision(spec: ModelSpec, settings: Mapping[str, Mapping[str, float]]) -> 
     wi, wo = pairs(np.float32)
     exchanged, single = (0.0, ""), (0.0, "")
     # A model that tabulates or integrates may state a bound of its own.
-    own = float(getattr(family_of(spec), "float32_error", FLOAT32_ERROR))
+    own = family_of(spec).float32_error
     for name, values in settings.items():
         # The same stored numbers in both types.
         model = made(spec, _inside(spec, values))

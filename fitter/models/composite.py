@@ -13,6 +13,18 @@ from fitter.models.registry import family_of
 from fitter.spec import OPTIONS, ModelSpec
 
 
+class Composite(ReflectanceModel):
+    """A model built of others: as reciprocal and isotropic as all of them are."""
+
+    @staticmethod
+    def reciprocal(spec: ModelSpec) -> bool:
+        return all(kind.reciprocal(inner) for kind, inner in families(spec))
+
+    @staticmethod
+    def isotropic(spec: ModelSpec) -> bool:
+        return all(kind.isotropic(inner) for kind, inner in families(spec))
+
+
 def prefixes(spec: ModelSpec) -> tuple[str, ...]:
     """What the parameters of each component begin with."""
     return OPTIONS[spec.family].parts[: len(spec.components)]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
 
+from fitter.models.lobes import CosineLobe, Lobe
 from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
 
@@ -18,6 +19,11 @@ KS = Parameter("ks", "1", 0.0, math.inf, 0.1, "scale of the specular term", line
 def with_diffuse(spec: ModelSpec, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """``parameters`` behind kd, where the specification has the diffuse term."""
     return tuple(parameters) if spec.diffuse == "none" else (KD, *parameters)
+
+
+def diffuse_lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
+    """What :meth:`ReflectanceModel.lobes` has for an additive diffuse term, where there is one."""
+    return [] if spec.diffuse == "none" else [(CosineLobe(), jnp.mean(values["kd"]))]
 
 
 def masked_terms(

@@ -55,6 +55,11 @@ def schlick_rest(p: Pair, h: Half) -> Array:
     return facet_cosine(h) * (1.0 + m * (1.0 + m * (1.0 + m * (1.0 + m))))
 
 
+def schlick_average(f0: Array) -> Array:
+    """The cosine average 2 int_0^1 F(c) c dc of Schlick's term."""
+    return f0 + (1.0 - f0) / 21.0
+
+
 def _one_minus_cosine(p: Pair, h: Half) -> Array:
     """sin^2/(1 + c) with sin^2(theta_d) = |wi - wo|^2/4: no cancellation near retro-reflection."""
     dx, dy, dz = p.ix - p.ox, p.iy - p.oy, p.iz - p.oz

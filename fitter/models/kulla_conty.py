@@ -24,9 +24,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models import ndf, scattering_loss
-from fitter.models.base import SeparableModel
+from fitter.models.base import SeparableModel, quotient
 from fitter.models.diffuse import KS
-from fitter.models.fresnel import F0, schlick_weight
+from fitter.models.fresnel import F0, schlick_average, schlick_weight
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
 from fitter.models.masking import facets
 from fitter.models.pair import Half, Pair
@@ -76,7 +76,7 @@ class KullaConty(SeparableModel):
         if spec.fresnel == "none":
             return {"ks": coefficients[0]}
         ks = coefficients[0] + coefficients[1]
-        return {"ks": ks, "f0": jnp.where(ks > 0, coefficients[0] / jnp.where(ks > 0, ks, 1.0), 0.0)}
+        return {"ks": ks, "f0": quotient(coefficients[0], ks)}
 
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:
@@ -87,7 +87,7 @@ class KullaConty(SeparableModel):
         normals = ndf.each(spec, values)
         ks, lost = values["ks"], _loss(spec, values).average
         f0 = values["f0"] if spec.fresnel == "schlick" else jnp.ones_like(ks)
-        once = jnp.mean(ks * _average(f0) * (1.0 - lost))
+        once = jnp.mean(ks * schlick_average(f0) * (1.0 - lost))
         found: list[tuple[Lobe, Array]] = [
             (VisibleNormalLobe(d.envelope()), once / len(normals)) for d in normals
         ]
@@ -98,12 +98,7 @@ def _loss(spec: ModelSpec, values: Mapping[str, Array]) -> scattering_loss.Loss:
     return scattering_loss.loss(spec.ndf or "ggx", values["alpha"])
 
 
-def _average(f0: Array) -> Array:
-    """The cosine average of Schlick's term."""
-    return f0 + (1.0 - f0) / 21.0
-
-
 def _colour(f0: Array, lost: Array) -> Array:
     """F_ms for an average loss 1 - E_avg; 1 for F0 = 1."""
-    f = _average(f0)
+    f = schlick_average(f0)
     return f * f * (1.0 - lost) / (1.0 - f * lost)

@@ -30,8 +30,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models.base import SeparableModel
-from fitter.models.diffuse import KS, masked_terms, with_diffuse
-from fitter.models.lobes import CosineLobe, Lobe
+from fitter.models.diffuse import KS, diffuse_lobes, masked_terms, with_diffuse
+from fitter.models.lobes import Lobe
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
 from fitter.models.phong_lobe import EXPONENT, PhongLobe, power
@@ -90,9 +90,7 @@ class Lafortune(SeparableModel):
             share = jnp.mean(values[f"ks{s}"]) / len(per_channel[0])
             for x, y, z, n, turn in zip(*per_channel, strict=True):
                 found.append((PhongLobe(x, y, z, n, turn if spec.anisotropic else None), share))
-        if spec.diffuse == "lambert":
-            found.append((CosineLobe(), jnp.mean(values["kd"])))
-        return found
+        return [*found, *diffuse_lobes(spec, values)]
 
 
 def cosine_lobe(coefficients: tuple[Array, ...], n: Array, products: tuple[Array, ...]) -> Array:

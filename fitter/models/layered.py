@@ -76,7 +76,7 @@ class Coat(NamedTuple):
         return Coat(top, power * (hidden + power * seen), inside)
 
 
-class Layered(ReflectanceModel):
+class Layered(composite.Composite):
     family: ClassVar[str] = "layered"
 
     @staticmethod
@@ -138,14 +138,6 @@ class Layered(ReflectanceModel):
             weight = jnp.where(above[..., None], passed * _diagonal(delta.weight), 0.0)
             found.append(Delta(-x, -y, z, weight, jnp.mean(weight, axis=-1)))
         return tuple(found)
-
-    @staticmethod
-    def reciprocal(spec: ModelSpec) -> bool:
-        return all(kind.reciprocal(inner) for kind, inner in composite.families(spec))
-
-    @staticmethod
-    def isotropic(spec: ModelSpec) -> bool:
-        return all(kind.isotropic(inner) for kind, inner in composite.families(spec))
 
 
 def _per_channel(base: ReflectanceModel, inside: Pair, dispersive: bool) -> Array:

@@ -66,7 +66,7 @@ class HalfVectorLobe(eqx.Module):
         return 2.0 * (h @ wi)[:, None] * h - wi
 
     def pdf(self, p: Pair) -> Array:
-        h, ok = _upper_half(p)
+        h, ok = upper_half(p)
         # cos_h = H_z/|H|, h.wi = |H|/2.
         return jnp.where(ok, self.ndf.density(h) * h.z / (2.0 * h.squared), 0.0)
 
@@ -84,14 +84,14 @@ class VisibleNormalLobe(eqx.Module):
         return 2.0 * (h @ wi)[:, None] * h - wi
 
     def pdf(self, p: Pair) -> Array:
-        h, ok = _upper_half(p)
+        h, ok = upper_half(p)
         ok = ok & (p.iz > 0)
         iz = jnp.where(ok, p.iz, 1.0)
         # G1/cos_i = 1/(cos_i + Lambda cos_i): finite at grazing.
         return jnp.where(ok, 0.25 * self.ggx.density(h) / (iz + self.ggx.lambda_cos(p.ix, p.iy, iz)), 0.0)
 
 
-def _upper_half(p: Pair) -> tuple[Half, Array]:
+def upper_half(p: Pair) -> tuple[Half, Array]:
     """The half vector, and whether it is above the horizon; where not, the normal instead.
 
     Directions whose half vector is below the horizon are reached from -h too: not by these lobes.

@@ -25,8 +25,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from fitter.models.base import SeparableModel
-from fitter.models.fresnel import schlick_rest, schlick_weight
+from fitter.models.base import SeparableModel, quotient
+from fitter.models.fresnel import schlick_average, schlick_rest, schlick_weight
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
 from fitter.models.masking import facets
 from fitter.models.ndf import GGX
@@ -79,8 +79,7 @@ class MetallicRoughness(SeparableModel):
     ) -> dict[str, Array]:
         diffuse, f0, rest = coefficients
         # f0 + base_color (1 - metallic) is base_color but for the dielectric's part, for any metallic.
-        albedo = jnp.where(rest > 0, diffuse / jnp.where(rest > 0, rest, 1.0), 0.0)
-        return {"base_color": f0 + albedo - _DIELECTRIC_F0 * (1.0 - nonlinear["metallic"])}
+        return {"base_color": f0 + quotient(diffuse, rest) - _DIELECTRIC_F0 * (1.0 - nonlinear["metallic"])}
 
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:
@@ -93,8 +92,7 @@ class MetallicRoughness(SeparableModel):
         base, metallic = values["base_color"], values["metallic"]
         widths = jnp.atleast_1d(values["roughness"])
         f0 = _DIELECTRIC_F0 * (1.0 - metallic) + base * metallic
-        # Cosine average of Schlick's term: F0 + (1 - F0)/21.
-        share = jnp.mean(f0 + (1.0 - f0) / 21.0) / len(widths)
+        share = jnp.mean(schlick_average(f0)) / len(widths)
         found: list[tuple[Lobe, Array]] = [(VisibleNormalLobe(_normals(width)), share) for width in widths]
         return [*found, (CosineLobe(), jnp.mean(base * (1.0 - metallic) * (1.0 - f0)))]
 

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models.base import SeparableModel
-from fitter.models.diffuse import KS, masked_terms, with_diffuse
-from fitter.models.lobes import CosineLobe, Lobe
+from fitter.models.diffuse import KS, diffuse_lobes, masked_terms, with_diffuse
+from fitter.models.lobes import Lobe
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
 from fitter.models.phong_lobe import EXPONENT, PhongLobe, power
@@ -48,6 +48,4 @@ class Phong(SeparableModel):
         one = jnp.ones_like(exponents[0])
         share = jnp.mean(values["ks"]) / len(exponents)
         found: list[tuple[Lobe, Array]] = [(PhongLobe(-one, -one, one, n), share) for n in exponents]
-        if spec.diffuse == "lambert":
-            found.append((CosineLobe(), jnp.mean(values["kd"])))
-        return found
+        return [*found, *diffuse_lobes(spec, values)]

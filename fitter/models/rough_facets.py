@@ -41,7 +41,7 @@ RADII, AZIMUTHS = 16, 16
 CHUNK = 16
 
 
-class RoughFacets(ReflectanceModel):
+class RoughFacets(composite.Composite):
     family: ClassVar[str] = "rough_facets"
 
     #: Relative error of float32: near grazing the nodes of a sliver are known to its last digits only.
@@ -51,10 +51,6 @@ class RoughFacets(ReflectanceModel):
     def parameter_table(spec: ModelSpec) -> tuple[Parameter, ...]:
         _check(spec)
         return (*composite.parameters(spec), *ndf.parameters(spec))
-
-    @staticmethod
-    def reciprocal(spec: ModelSpec) -> bool:
-        return all(kind.reciprocal(inner) for kind, inner in composite.families(spec))
 
     def value(self, p: Pair) -> Array:
         (facet,) = composite.parts(self)

@@ -22,15 +22,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models import fresnel, refraction
-from fitter.models.base import ReflectanceModel
-from fitter.models.lobes import Delta, Lobe
-from fitter.models.pair import Pair
+from fitter.models.lobes import Delta
 from fitter.models.parameters import Parameter
-from fitter.models.specular import no_density
+from fitter.models.specular import Ideal
 from fitter.spec import ModelSpec
 
 
-class SmoothDielectric(ReflectanceModel):
+class SmoothDielectric(Ideal):
     family: ClassVar[str] = "smooth_dielectric"
 
     @staticmethod
@@ -42,14 +40,6 @@ class SmoothDielectric(ReflectanceModel):
     def transmits(spec: ModelSpec) -> bool:
         del spec
         return True
-
-    def value(self, p: Pair) -> Array:
-        return no_density(p, len(self.channels))
-
-    @staticmethod
-    def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
-        del spec, values
-        return []
 
     @staticmethod
     def deltas(

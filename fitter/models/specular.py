@@ -24,7 +24,20 @@ from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
 
 
-class Specular(ReflectanceModel):
+class Ideal(ReflectanceModel):
+    """A model that has ideal components only: its value is 0, a delta being no number."""
+
+    def value(self, p: Pair) -> Array:
+        shape = (*jnp.broadcast_shapes(p.iz.shape, p.oz.shape), len(self.channels))
+        return jnp.zeros(shape, jnp.result_type(p.iz, p.oz))
+
+    @staticmethod
+    def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
+        del spec, values
+        return []
+
+
+class Specular(Ideal):
     family: ClassVar[str] = "specular"
 
     @staticmethod
@@ -32,14 +45,6 @@ class Specular(ReflectanceModel):
         assert spec.fresnel is not None
         linear = (KS, fresnel.F0) if spec.fresnel == "schlick" else (KS,)
         return (*linear, *fresnel.PARAMETERS[spec.fresnel])
-
-    def value(self, p: Pair) -> Array:
-        return no_density(p, len(self.channels))
-
-    @staticmethod
-    def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
-        del spec, values
-        return []
 
     @staticmethod
     def deltas(
@@ -62,8 +67,3 @@ def reflectance(spec: ModelSpec, values: Mapping[str, Array], x: Array, y: Array
         m2 = m * m
         return values["f0"] + (1.0 - values["f0"]) * m2 * m2 * m
     return fresnel.exact(spec.fresnel, values, z)
-
-
-def no_density(p: Pair, channels: int) -> Array:
-    """The value of an ideal component on any pair of directions: 0 (..., C)."""
-    return jnp.zeros((*jnp.broadcast_shapes(p.iz.shape, p.oz.shape), channels), jnp.result_type(p.iz, p.oz))

@@ -16,7 +16,7 @@ from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
 
 
-class Sum(ReflectanceModel):
+class Sum(composite.Composite):
     family: ClassVar[str] = "sum"
 
     @staticmethod
@@ -52,11 +52,3 @@ class Sum(ReflectanceModel):
             if kind.transmits(inner):
                 return kind.refractive_index(inner, own)
         return ReflectanceModel.refractive_index(spec, values)
-
-    @staticmethod
-    def reciprocal(spec: ModelSpec) -> bool:
-        return all(kind.reciprocal(inner) for kind, inner in composite.families(spec))
-
-    @staticmethod
-    def isotropic(spec: ModelSpec) -> bool:
-        return all(kind.isotropic(inner) for kind, inner in composite.families(spec))

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models import fresnel, ndf
-from fitter.models.base import SeparableModel
+from fitter.models.base import SeparableModel, quotient
 from fitter.models.diffuse import KS, masked_terms, with_diffuse
 from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe, VisibleNormalLobe
 from fitter.models.masking import facets
@@ -77,13 +77,13 @@ class TorranceSparrow(SeparableModel):
         *diffuse, constant, rising = coefficients
         ks = constant + rising
         # Without a specular term F0 means nothing: 0 keeps it finite, its uncertainty says the rest.
-        f0 = jnp.where(ks > 0, constant / jnp.where(ks > 0, ks, 1.0), 0.0)
+        f0 = quotient(constant, ks)
         if not diffuse:
             return {"ks": ks, "f0": f0}
         kd = diffuse[0]
         if spec.diffuse == "coupled":
             f0 = jnp.where(kd > 0, jnp.minimum(f0, LARGEST_COUPLED_F0), f0)
-            kd = jnp.where(kd > 0, kd / jnp.where(kd > 0, 1.0 - f0, 1.0), 0.0)
+            kd = quotient(kd, 1.0 - f0)
         return {"kd": kd, "ks": ks, "f0": f0}
 
     @staticmethod
@@ -109,7 +109,7 @@ def lobe_of(spec: ModelSpec, normals: ndf.Distribution) -> Lobe:
 def average_fresnel(spec: ModelSpec, values: Mapping[str, Array]) -> Array:
     """Cosine average of F, () or (C,): about the share of light that is reflected at the facets."""
     if spec.fresnel == "schlick":
-        return values["f0"] + (1.0 - values["f0"]) / 21.0
+        return fresnel.schlick_average(values["f0"])
     if spec.fresnel == "none":
         return jnp.ones_like(values["ks"])
     return fresnel.cosine_average(lambda c: fresnel.exact(spec.fresnel, values, c), values["eta"])

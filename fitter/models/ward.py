@@ -21,8 +21,8 @@ from jax import Array
 
 from fitter.models import ndf, roughness
 from fitter.models.base import SeparableModel
-from fitter.models.diffuse import KS, masked_terms, with_diffuse
-from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe
+from fitter.models.diffuse import KS, diffuse_lobes, masked_terms, with_diffuse
+from fitter.models.lobes import HalfVectorLobe, Lobe
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
@@ -44,7 +44,7 @@ class Ward(SeparableModel):
         # The root of e, twice: it underflows only where the product has.
         root = jnp.exp(-0.5 * rough.slope2(h.x, h.y, h.z))
         if spec.variant == "bounded":
-            # A power of 1/H_z, not a quotient by H_z^4: the quotient's slope has H_z^-8, past float32's range.
+            # A power of 1/H_z, not a quotient by H_z^4, whose slope has H_z^-8: past float32's range.
             steep = 1.0 / h.z
             steep2 = steep * steep
             lobe = root * (root * (h.squared * steep2) * (steep2 / (math.pi * rough.area)))
@@ -61,6 +61,4 @@ class Ward(SeparableModel):
         found: list[tuple[Lobe, Array]] = [
             (HalfVectorLobe(d), jnp.mean(values["ks"]) / len(slopes)) for d in slopes
         ]
-        if spec.diffuse == "lambert":
-            found.append((CosineLobe(), jnp.mean(values["kd"])))
-        return found
+        return [*found, *diffuse_lobes(spec, values)]

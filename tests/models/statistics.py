@@ -1,12 +1,28 @@
-"""Statistics of draws that the suite and the long study share."""
+"""Draws and statistics that the suite and the long study share."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 from fitter import models
+
+
+def hemisphere(seed: int, count: int, lowest: float = 0.02) -> np.ndarray:
+    """Unit vectors (count, 3) of the upper hemisphere, cosines even from ``lowest`` to 1."""
+    rng = np.random.default_rng(seed)
+    mu, phi = rng.uniform(lowest, 1.0, count), rng.uniform(0, 2 * np.pi, count)
+    s = np.sqrt(1 - mu * mu)
+    return np.stack([s * np.cos(phi), s * np.sin(phi), mu], axis=1)
+
+
+def finite(tree: Any) -> bool:
+    """Whether every leaf of a value with its gradients is."""
+    return all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(tree))
 
 
 def chi_square_p(counts: np.ndarray, expected: np.ndarray) -> float:

@@ -9,13 +9,7 @@ import pytest
 
 from fitter import SpecError, models
 from fitter.models import rough_facets
-
-
-def hemisphere(count: int, seed: int, lowest: float = 0.02) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    mu, phi = rng.uniform(lowest, 1, count), rng.uniform(-np.pi, np.pi, count)
-    s = np.sqrt(1 - mu * mu)
-    return np.stack([s * np.cos(phi), s * np.sin(phi), mu], axis=1)
+from tests.models.statistics import hemisphere
 
 
 def lambertian(ndf: str, alpha: float, wi: np.ndarray, wo: np.ndarray) -> float:
@@ -42,14 +36,14 @@ def lambertian(ndf: str, alpha: float, wi: np.ndarray, wo: np.ndarray) -> float:
 @pytest.mark.parametrize(("ndf", "alpha"), [("ggx", 0.1), ("ggx", 0.5), ("beckmann", 0.1), ("beckmann", 0.6)])
 def test_against_brute_force(ndf: str, alpha: float) -> None:
     model = models.create(f"rough_facets:{ndf}(lambert)", alpha=alpha, facet_kd=1.0)
-    wi, wo = hemisphere(12, 1, 0.1), hemisphere(12, 2, 0.1)
+    wi, wo = hemisphere(1, 12, 0.1), hemisphere(2, 12, 0.1)
     expected = [lambertian(ndf, alpha, i, o) for i, o in zip(wi, wo, strict=True)]
     np.testing.assert_allclose(np.asarray(model.evaluate(wi, wo))[:, 0], expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("ndf", "error"), [("ggx", 2e-5), ("beckmann", 1e-4)])
 def test_more_nodes_change_nothing(monkeypatch: pytest.MonkeyPatch, ndf: str, error: float) -> None:
-    wi, wo = hemisphere(60, 3), hemisphere(60, 4)
+    wi, wo = hemisphere(3, 60), hemisphere(4, 60)
     model = models.create(f"rough_facets:{ndf}(lambert)", alpha=0.4)
     stated = np.asarray(model.evaluate(wi, wo))
     monkeypatch.setattr(rough_facets, "RADII", 48)
@@ -61,7 +55,7 @@ def test_more_nodes_change_nothing(monkeypatch: pytest.MonkeyPatch, ndf: str, er
 
 @pytest.mark.parametrize("facet", ["lambert", "oren_nayar", "lafortune:no_diffuse"])
 def test_smooth_surface_is_the_facet(facet: str) -> None:
-    wi, wo = hemisphere(40, 5, 0.1), hemisphere(40, 6, 0.1)
+    wi, wo = hemisphere(5, 40, 0.1), hemisphere(6, 40, 0.1)
     rough = models.create(f"rough_facets({facet})", alpha=1e-4)
     # Beside a lobe there is the light of the few steep facets, of the order of alpha^2.
     np.testing.assert_allclose(
@@ -85,7 +79,7 @@ def test_white_facets_lose_light_and_look_like_oren_nayar() -> None:
 
 
 def test_reciprocal_and_in_its_dtype() -> None:
-    wi, wo = hemisphere(300, 7), hemisphere(300, 8)
+    wi, wo = hemisphere(7, 300), hemisphere(8, 300)
     model = models.create("rough_facets(oren_nayar)", alpha=0.3)
     there = np.asarray(model.evaluate(wi, wo))
     np.testing.assert_allclose(there, model.evaluate(wo, wi), rtol=1e-12)
@@ -96,7 +90,7 @@ def test_reciprocal_and_in_its_dtype() -> None:
 
 def test_each_channel_has_its_roughness() -> None:
     alphas = [0.05, 0.3, 0.9]
-    wi, wo = hemisphere(5, 9), hemisphere(5, 10)
+    wi, wo = hemisphere(9, 5), hemisphere(10, 5)
     model = models.create("rough_facets(lambert)", alpha=alphas, facet_kd=[0.2, 0.5, 0.9])
     for k, (alpha, kd) in enumerate(zip(alphas, (0.2, 0.5, 0.9), strict=True)):
         one = models.create("rough_facets(lambert)", alpha=alpha, facet_kd=kd)
