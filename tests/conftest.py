@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
+import jax
 import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
@@ -30,10 +32,29 @@ settings.load_profile("project")
 ROOT = Path(__file__).resolve().parent.parent
 
 # Compiled programs are shared by the test processes and by the commands they start.
-os.environ.setdefault("XDG_CACHE_HOME", str(ROOT / ".cache"))
+os.environ["XDG_CACHE_HOME"] = str(ROOT / ".cache")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "brdf-fitter" / "xla"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+
+
+# Traced programs are millions of objects that live long: looking through them again and again is a tenth of
+# the time.
+gc.set_threshold(100_000, 20, 100)
+
+#: Compiled programs are mapped into memory in many pieces, of which Linux grants a process 65,530 by default:
+#: past that the compiler crashes.
+MOST_MAPS = 25_000
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Forget the compiled programs between two modules when they are many."""
+    if nextitem is not None and item.path == nextitem.path:
+        return
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -80,25 +80,15 @@ def _typed(block: str) -> str:
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The shims first on the path, and one cache of compiled programs for all pages."""
+    """The shims first on the path; compiled programs are shared with the rest of the suite."""
     folder = tmp_path_factory.mktemp("bin")
     values = {"python": sys.executable, "make": shutil.which("make") or "make", "root": str(ROOT)}
     for name, text in SHIMS.items():
         shim = folder / name
         shim.write_text("#!/bin/sh\n" + re.sub(r"\{(\w+)\}", lambda found: values[found[1]], text))
         shim.chmod(0o755)
-    cache = tmp_path_factory.mktemp("cache")
-    # Programs, commands and the server compile the same things: once is enough.
-    compiled = cache / "brdf-fitter" / "xla"
-    compiled.mkdir(parents=True)
-    return {
-        **os.environ,
-        "PATH": f"{folder}:{os.environ['PATH']}",
-        "XDG_CACHE_HOME": str(cache),
-        "JAX_COMPILATION_CACHE_DIR": str(compiled),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-        "PYTHONPATH": str(ROOT),
-    }
+    Path(os.environ["JAX_COMPILATION_CACHE_DIR"]).mkdir(parents=True, exist_ok=True)
+    return {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
 
 
 @pytest.fixture(scope="module")

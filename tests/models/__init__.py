@@ -7,7 +7,7 @@ meet in one expression (PAIRS), and composites of each kind.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 
 from fitter import SpecError
@@ -44,31 +44,49 @@ def _all(family: str) -> Iterator[ModelSpec]:
             continue  # options that exclude each other
 
 
-def _covers(spec: ModelSpec) -> set[tuple[tuple[str, object], ...]]:
-    """The values, and pairs of values, of options that a specification exercises."""
+def _covers(spec: ModelSpec, meeting: bool) -> set[tuple[tuple[str, object], ...]]:
+    """The values, and if ``meeting`` the pairs of values, of options that a specification exercises."""
     options = OPTIONS[spec.family]
     names = [*options.choices, "anisotropic", "lobes", *(["diffuse"] if options.diffuse else [])]
     single = {((name, getattr(spec, name)),) for name in names}
-    pairs = [(a, b) for a, b in PAIRS if a in names and b in names]
+    pairs = [(a, b) for a, b in PAIRS if a in names and b in names] if meeting else []
     if "coupled" not in options.diffuse:
         pairs = [pair for pair in pairs if "diffuse" not in pair]  # an additive term meets nothing
     return single | {((a, getattr(spec, a)), (b, getattr(spec, b))) for a, b in pairs}
 
 
-@cache
-def covering(family: str) -> tuple[str, ...]:
-    """Few models of a family that exercise all there is to cover, its default first."""
-    every = [(spec, _covers(spec)) for spec in _all(family)]
-    chosen, covered = [every[0][0]], set(every[0][1])
-    # Greedy: the first of those that add most, so that ties go to the nearest to the default.
-    while best := max(every, key=lambda one: len(one[1] - covered), default=None):
-        if best[1] <= covered:
-            break
+def _greedy(every: Iterable[ModelSpec], meeting: bool) -> tuple[str, ...]:
+    """Few of these models that exercise all that they do together, the first one among them."""
+    found = [(spec, _covers(spec, meeting)) for spec in every]
+    chosen, covered = [found[0][0]], set(found[0][1])
+    # The first of those that add most, so that ties go to the nearest to the default.
+    while (best := max(found, key=lambda one: len(one[1] - covered)))[1] - covered:
         chosen.append(best[0])
         covered |= best[1]
     return tuple(spec.name for spec in chosen)
 
 
+@cache
+def covering(family: str) -> tuple[str, ...]:
+    """Few models of a family that exercise all there is to cover, its default first."""
+    return _greedy(_all(family), meeting=True)
+
+
 MODELS = tuple(
     dict.fromkeys([*(name for family in OPTIONS for name in covering(family)), *COMPOSITES])
 )  # fmt: skip
+
+#: Those of them that still show each value of each option, and the sums: what the suite draws from and
+#: differentiates, which takes longest to compile. The long study (tests/evidence) does so with all.
+FEWER = tuple(
+    dict.fromkeys(
+        [
+            *(
+                name
+                for family in OPTIONS
+                for name in _greedy([ModelSpec.parse(one) for one in covering(family)], meeting=False)
+            ),
+            *(name for name in COMPOSITES if name.startswith("sum")),
+        ]
+    )
+)
