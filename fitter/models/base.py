@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from fitter.errors import SpecError
 from fitter.models import albedo as _albedo
-from fitter.models.lobes import Delta, Lobe, mixture_pdf, sample_mixture
+from fitter.models.lobes import Delta, Lobe, OneSided, mixture_pdf, sample_mixture
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
 from fitter.sampling.samples import Samples
@@ -172,7 +172,8 @@ class ReflectanceModel(eqx.Module):
         """
         found = type(self).lobes(self.spec, self.values)
         deltas = type(self).deltas(self.spec, self.values, x, y, z)
-        strengths = [jnp.maximum(share, 0.0) for _, share in found]
+        drawn = [z > 0 if isinstance(lobe, OneSided) else jnp.ones_like(z, bool) for lobe, _ in found]
+        strengths = [jnp.where(on, jnp.maximum(s, 0.0), 0.0) for (_, s), on in zip(found, drawn, strict=True)]
         ideal = [jnp.maximum(delta.share, 0.0) for delta in deltas]
         total = sum([*strengths, *ideal], start=jnp.zeros_like(z))
         safe = jnp.where(total > 0, total, 1.0)
@@ -181,7 +182,11 @@ class ReflectanceModel(eqx.Module):
         if found:
             # What lobes have in common, spread so that none is starved.
             together = sum(parts, start=jnp.zeros_like(z))
-            parts = [(1 - SMALLEST_SHARE) * p + SMALLEST_SHARE * together / len(found) for p in parts]
+            count = jnp.maximum(sum(drawn, start=jnp.zeros_like(z)), 1.0)
+            parts = [
+                (1 - SMALLEST_SHARE) * p + SMALLEST_SHARE * jnp.where(on, together / count, 0.0)
+                for p, on in zip(parts, drawn, strict=True)
+            ]
         return [lobe for lobe, _ in found], [*parts, *parts_ideal], deltas
 
     def to_dict(self) -> dict[str, Any]:

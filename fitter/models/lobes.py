@@ -41,6 +41,23 @@ class Delta(NamedTuple):
     share: Array
 
 
+class OneSided(eqx.Module):
+    """A lobe of a part that only reflects, beside one that transmits.
+
+    Light from below has no share of it, and what it draws below the horizon is lost as in a model that only
+    reflects: put on the horizon, where no direction is valid. Its density there is not to be relied on.
+    """
+
+    lobe: Lobe
+
+    def sample(self, wi: Array, u: Array) -> Array:
+        wo = self.lobe.sample(wi, u)
+        return wo.at[:, 2].set(jnp.maximum(wo[:, 2], 0.0))
+
+    def pdf(self, p: Pair) -> Array:
+        return jnp.where((p.iz > 0) & (p.oz > 0), self.lobe.pdf(p), 0.0)
+
+
 class CosineLobe(eqx.Module):
     """Density cos(theta_o)/pi on the upper hemisphere."""
 

@@ -10,7 +10,7 @@ from jax import Array
 
 from fitter.models import composite
 from fitter.models.base import ReflectanceModel
-from fitter.models.lobes import Delta, Lobe
+from fitter.models.lobes import Delta, Lobe, OneSided
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
@@ -29,7 +29,12 @@ class Sum(composite.Composite):
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
-        return [lobe for kind, inner, own in composite.kinds(spec, values) for lobe in kind.lobes(inner, own)]
+        transmits = Sum.transmits(spec)
+        found: list[tuple[Lobe, Array]] = []
+        for kind, inner, own in composite.kinds(spec, values):
+            for lobe, share in kind.lobes(inner, own):
+                found.append((OneSided(lobe) if transmits and not kind.transmits(inner) else lobe, share))
+        return found
 
     @staticmethod
     def deltas(

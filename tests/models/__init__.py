@@ -20,6 +20,7 @@ PAIRS = (("ndf", "masking"), ("fresnel", "diffuse"), ("anisotropic", "ndf"))
 COMPOSITES = (
     "sum(ward:no_diffuse, lambert)",
     "sum(specular:schlick, lambert)",
+    "sum(rough_dielectric, ward)",
     "sum(torrance_sparrow:ggx:smith:anisotropic:no_diffuse, phong:no_diffuse, oren_nayar)",
     "layered(ward:anisotropic)",
     "rough_facets(oren_nayar:fujii)",

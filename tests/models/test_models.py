@@ -183,8 +183,15 @@ def test_samples_follow_the_pdf(few, degrees, dtype):
 
 def test_weights_estimate_what_is_reflected_and_transmitted(few):
     model, samples = draw(few, 9), drawn(few, 40.0, "float64")
-    wi, up = incidence(40.0), samples.wo[:, 2] > 0
-    for side, integral in ((up, model.albedo), (~up, model.transmittance)):
+    _weights_estimate(model, incidence(40.0), samples)
+    if model.transmits(model.spec):
+        below = incidence(40.0) * [1.0, 1.0, -1.0]
+        _weights_estimate(model, below, model.sample(below, len(samples), seed=7))
+
+
+def _weights_estimate(model: models.ReflectanceModel, wi: np.ndarray, samples: Samples) -> None:
+    back = samples.wo[:, 2] * wi[2] > 0
+    for side, integral in ((back, model.albedo), (~back, model.transmittance)):
         weight = samples.weight * side[:, None]
         if not weight.any() and not model.transmits(model.spec):
             continue
