@@ -6,9 +6,14 @@ integral is computed at a few nodes once, and every pair costs a polynomial.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+
+#: Steps of the recurrence that the compiler sees as one: over all of them its simplifier gets lost in
+#: rewriting, which takes longer and gives a slower program.
+_TOGETHER = 8
 
 
 def nodes(count: int, like: Array) -> Array:
@@ -28,8 +33,10 @@ def coefficients(values: Array) -> Array:
 def series(terms: Array, x: Array) -> Array:
     """sum_k terms_k T_k(x) by Clenshaw's recurrence; ``terms`` (count, ...) against x in [-1, 1]."""
     later, next_ = jnp.zeros_like(x), jnp.zeros_like(x)
-    for term in terms[:0:-1]:
+    for k, term in enumerate(terms[:0:-1]):
         later, next_ = 2.0 * x * later - next_ + term, later
+        if k % _TOGETHER == _TOGETHER - 1:
+            later, next_ = jax.lax.optimization_barrier((later, next_))
     return x * later - next_ + terms[0]
 
 

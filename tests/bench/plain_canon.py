@@ -199,7 +199,7 @@ def layered(wi: Array, wo: Array, alpha: float, eta: float, tau: Array, base_kd:
 
 
 def kulla_conty(wi: Array, wo: Array, ks: Array, f0: Array, alpha: float) -> Array:
-    """C. Kulla and A. Conty 2017: GGX and Smith, with what single scattering loses from a table of 64 cosines."""
+    """C. Kulla and A. Conty 2017: GGX and Smith, what single scattering loses from a table of cosines."""
     cos_i, cos_o, cos_h, cos_d, above = cosines(wi, wo)
     g = 1.0 / (1.0 + lambda_ggx(cos_i, alpha) + lambda_ggx(cos_o, alpha))
     once = ggx(cos_h, alpha) * g / (4 * cos_i * cos_o)
