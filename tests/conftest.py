@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 from pathlib import Path
 
@@ -44,15 +45,14 @@ gc.set_threshold(100_000, 20, 100)
 
 #: Compiled programs are mapped into memory in many pieces, of which Linux grants a process 65,530 by default:
 #: past that the compiler crashes.
-MOST_MAPS = 25_000
+MOST_MAPS, LOOK_EVERY = 45_000, 25
+_MAPS = Path("/proc/self/maps")
+_tests = itertools.count(1)
 
 
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Forget the compiled programs between two modules when they are many."""
-    if nextitem is not None and item.path == nextitem.path:
-        return
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+def pytest_runtest_teardown() -> None:
+    """Forget the compiled programs when they are many."""
+    if next(_tests) % LOOK_EVERY == 0 and _MAPS.exists() and _MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
 
