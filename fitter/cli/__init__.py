@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from fitter.cli.app import main
+from fitter.cli.app import entry, main
 
-__all__ = ["main"]
+__all__ = ["entry", "main"]

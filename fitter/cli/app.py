@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from fitter import __version__
+from fitter.cli.interrupt import Interrupt
 from fitter.cli.screen import WHEN, Screen
 from fitter.cli.verb import CALL_WRONG, DONE, INTERRUPTED, PIPE_CLOSED, WORK_FAILED, Verb
 from fitter.errors import FitError, FitterError, SpecError
@@ -77,20 +78,22 @@ def parser(chosen: str | None = None) -> argparse.ArgumentParser:
     return top
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, interrupt: Interrupt | None = None) -> int:
     """Run the command; returns its exit status."""
+    interrupt = interrupt or Interrupt()
     words = list(sys.argv[1:] if arguments is None else arguments)
     # The call itself may be what is wrong, and a program that asked for JSON still wants it then.
-    screen = Screen(json="--json" in words)
+    screen = Screen(interrupt, json="--json" in words)
     try:
         chosen = next((word for word in words if not word.startswith("-")), None)
         options = parser(chosen).parse_args(words)
-        screen = Screen(json=options.json, progress=options.progress)
+        screen = Screen(interrupt, json=options.json, progress=options.progress)
         # Whatever a library prints must not get between the document's bytes.
         with contextlib.redirect_stdout(sys.stderr):
             outcome = verb(options.verb).run(options, screen)
         if outcome is None:
             return DONE
+        interrupt.check()
         if screen.json:
             screen.document(outcome.document)
         else:
@@ -106,6 +109,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except Exception as error:
         return _failed(error, screen)
+
+
+def entry() -> NoReturn:
+    """The command as a process: :func:`main`, then the end."""
+    interrupt = Interrupt()
+    interrupt.install()
+    status = main(interrupt=interrupt)
+    if status == INTERRUPTED:
+        # The compiler's threads may still be at work: ending Python under them crashes or waits for them.
+        # Nothing is half-written, since files are renamed when they are whole.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 def _failed(error: Exception, screen: Screen) -> int:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, TextIO
 
+from fitter.cli.interrupt import Interrupt
+
 When = Literal["auto", "always", "never"]
 WHEN: tuple[When, ...] = ("auto", "always", "never")
 
@@ -16,9 +18,13 @@ class Screen:
 
     json : standard output holds one JSON document and nothing else.
     progress : "auto" draws bars where standard error is a terminal.
+    interrupt : what every report of progress asks whether to stop.
     """
 
-    def __init__(self, *, json: bool = False, progress: When = "auto") -> None:
+    def __init__(
+        self, interrupt: Interrupt | None = None, *, json: bool = False, progress: When = "auto"
+    ) -> None:
+        self._interrupt = interrupt or Interrupt()
         self.json = json
         # Taken once: while a verb works, sys.stdout is turned aside so that nobody else writes there.
         self.stdout: TextIO = sys.stdout
@@ -65,10 +71,8 @@ class Screen:
     @contextmanager
     def progress(self, what: str) -> Generator[Callable[[float, str], None]]:
         """A progress callback that draws a bar on standard error, where one is wanted."""
-        from fitter.progress import ignore
-
         if not self._bars:
-            yield ignore
+            yield lambda _done, _now: self._interrupt.check()
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -83,9 +87,11 @@ class Screen:
             task = bars.add_task(what, total=1.0, now="")
 
             def report(done: float, now: str) -> None:
+                self._interrupt.check()
                 bars.update(task, completed=done, now=now)
 
             yield report
+            self._interrupt.check()
             bars.update(task, completed=1.0, now="")
 
 

@@ -745,6 +745,41 @@ def test_h44():
     shown("H44", naive=naive, ours=found)
 
 
+def test_h45():
+    wi, wo = stored(grazing(1e-6, 0.4), grazing(1e-6, 0.4 - math.pi))
+    alpha = np.float32(1e-4)
+
+    @jax.grad
+    def naive_slope(z):
+        hx, hy, hz = wi[0] + wo[0], wi[1] + wo[1], z + wo[2]
+        t2 = (hx * hx + hy * hy) / (alpha * hz) ** 2
+        return jnp.exp(-t2) * (hx * hx + hy * hy + hz * hz) / (math.pi * alpha * alpha * hz**4)
+
+    with np.errstate(all="ignore"):
+        naive = float(naive_slope(jnp.asarray(wi[2])))
+    model = models.create("ward:bounded:no_diffuse", ks=1.0, alpha=1e-4)
+    model = jax.tree.map(lambda leaf: leaf.astype(np.float32), model)
+
+    @jax.grad
+    def slope(z):
+        return model.evaluate(jnp.asarray(wi).at[2].set(z), wo)[0]
+
+    found = float(slope(jnp.asarray(wi[2])))
+    mu, h = mpf(float(wi[2])), mpf("1e-13")
+
+    def lobe(z):
+        hx, hy, hz = (mpf(float(a)) + mpf(float(b)) for a, b in zip(wi, wo, strict=True))
+        hz = z + mpf(float(wo[2]))
+        t2 = (hx * hx + hy * hy) / (mpf(float(alpha)) * hz) ** 2
+        return mp.exp(-t2) * (hx**2 + hy**2 + hz**2) / (mp.pi * mpf(float(alpha)) ** 2 * hz**4)
+
+    with mp.workdps(DIGITS):
+        right = float((lobe(mu + h) - lobe(mu - h)) / (2 * h))
+    assert not np.isfinite(naive)
+    assert close(found, right, 1e-4)
+    shown("H45", naive=naive, ours=found)
+
+
 # The page ---------------------------------------------------------------------------------------------
 
 
