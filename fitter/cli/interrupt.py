@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from types import FrameType
 
 
@@ -19,6 +20,12 @@ class Interrupt:
     def install(self) -> None:
         """Take SIGINT over; in the main thread only."""
         signal.signal(signal.SIGINT, self._came)
+        sys.unraisablehook = self._dropped
+
+    def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
+        """Say what was dropped where nobody could catch it; not that it was Ctrl-C, as :meth:`check` will."""
+        if not (self._asked and isinstance(dropped.exc_value, KeyboardInterrupt)):
+            sys.__unraisablehook__(dropped)
 
     def _came(self, number: int, frame: FrameType | None) -> None:
         del number, frame

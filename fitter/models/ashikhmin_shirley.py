@@ -27,7 +27,7 @@ from jax import Array
 
 from fitter.models.base import SeparableModel, quotient
 from fitter.models.diffuse import KD
-from fitter.models.fresnel import schlick_average, schlick_weight
+from fitter.models.fresnel import schlick_average, schlick_weighted
 from fitter.models.lobes import CosineLobe, Lobe, upper_half
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
@@ -65,7 +65,7 @@ class AshikhminShirley(SeparableModel):
         # c max(cos_i, cos_o) with c = |H|/2; where, not maximum: at the tie the slope is that of one side.
         larger = jnp.where(p.iz > p.oz, p.iz, p.oz)
         specular = facets.density(h) / (2.0 * jnp.sqrt(h.squared) * larger)
-        terms = (diffuse, specular, specular * schlick_weight(p, h))
+        terms = (diffuse, specular, schlick_weighted(specular, p, h))
         return tuple(jnp.where(above, term, 0.0) for term in terms)
 
     @classmethod

@@ -42,11 +42,15 @@ def facet_cosine(h: Half) -> Array:
     return 0.5 * jnp.sqrt(h.squared)
 
 
-def schlick_weight(p: Pair, h: Half) -> Array:
-    """(1 - cos theta_d)^5 of Schlick 1994, F = F0 + (1 - F0) (1 - c)^5."""
+def schlick_weighted(lobe: Array, p: Pair, h: Half) -> Array:
+    """``lobe`` times (1 - cos theta_d)^5 of Schlick 1994, F = F0 + (1 - F0) (1 - c)^5.
+
+    The power by itself leaves float32's range near retro-reflection where its product with a narrow lobe
+    does not.
+    """
     m = _one_minus_cosine(p, h)
     m2 = m * m
-    return m2 * m2 * m
+    return lobe * m2 * m2 * m
 
 
 def schlick_rest(p: Pair, h: Half) -> Array:

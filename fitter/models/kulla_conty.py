@@ -26,7 +26,7 @@ from jax import Array
 from fitter.models import ndf, scattering_loss
 from fitter.models.base import SeparableModel, quotient
 from fitter.models.diffuse import KS
-from fitter.models.fresnel import F0, schlick_average, schlick_weight
+from fitter.models.fresnel import F0, schlick_average, schlick_weighted
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
 from fitter.models.masking import facets
 from fitter.models.pair import Half, Pair
@@ -55,7 +55,7 @@ class KullaConty(SeparableModel):
         # Both at once: one recurrence to compile.
         lost_i, lost_o = lost(jnp.stack(jnp.broadcast_arrays(p.iz, p.oz)))
         again = lost_i * lost_o / (math.pi * lost.average)
-        terms = (once, once * schlick_weight(p, h), again) if spec.fresnel == "schlick" else (once + again,)
+        terms = (once, schlick_weighted(once, p, h), again) if spec.fresnel == "schlick" else (once + again,)
         return tuple(jnp.where(above, term, 0.0) for term in terms)
 
     @classmethod

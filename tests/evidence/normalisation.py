@@ -111,10 +111,12 @@ def _both_ways(model: ReflectanceModel, values: dict[str, jax.Array], wi: jax.Ar
         parts = jax.tree.map(lambda x, d: jnp.sum(jnp.abs(x * d)), (v, i, o), slopes)
         return sum(jax.tree.leaves(parts), start=jnp.zeros(()))
 
-    return (
-        jax.vmap(value)(values, wi, wo), jax.vmap(value)(values, wo, wi),
-        jax.vmap(sensitivity)(values, wi, wo),
-    )  # fmt: skip
+    def each(point: tuple[dict[str, jax.Array], jax.Array, jax.Array]) -> tuple[jax.Array, ...]:
+        v, i, o = point
+        return value(v, i, o), value(v, o, i), sensitivity(v, i, o)
+
+    # A few at a time: some models make a table for the parameters of every point.
+    return jax.lax.map(each, (values, wi, wo), batch_size=64)
 
 
 def _reciprocity(spec: ModelSpec, share: float, rng: np.random.Generator) -> Found:
