@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -129,6 +130,49 @@ def ssdd_bytes(data: str = "ascii", dtype: str = "f") -> bytes:
     return start + "".join(f"{r} {g} {b}\n" for r, g, b in values).encode()
 
 
+#: A basis of 11 patches: (lower, upper, patches) of each band, degrees.
+KLEMS_BANDS = ((0.0, 20.0, 1), (20.0, 60.0, 4), (60.0, 90.0, 6))
+
+
+def klems_basis_xml(bands: Sequence[tuple[float, float, int]] = KLEMS_BANDS, name: str = "made up") -> str:
+    rows = ["<AngleBasis>", f"<AngleBasisName>{name}</AngleBasisName>"]
+    for lower, upper, count in bands:
+        rows += [f"<AngleBasisBlock><Theta>{(lower + upper) / 2 if lower else 0}</Theta>"]
+        rows += [f"<nPhis>{count}</nPhis><ThetaBounds><LowerTheta>{lower}</LowerTheta>"]
+        rows += [f"<UpperTheta>{upper}</UpperTheta></ThetaBounds></AngleBasisBlock>"]
+    return "\n".join([*rows, "</AngleBasis>"])
+
+
+def klems_block_xml(direction: str, values: str, wavelength: str = "Visible", basis: str = "made up") -> str:
+    return (
+        f'<WavelengthData><LayerNumber>System</LayerNumber><Wavelength unit="Integral">{wavelength}'
+        f"</Wavelength>\n<WavelengthDataBlock><WavelengthDataDirection>{direction}</WavelengthDataDirection>"
+        f"<ColumnAngleBasis>{basis}</ColumnAngleBasis><RowAngleBasis>{basis}</RowAngleBasis>"
+        f"<ScatteringDataType>BTDF</ScatteringDataType>\n<ScatteringData>\n{values}</ScatteringData>"
+        "</WavelengthDataBlock></WavelengthData>"
+    )
+
+
+def klems_bytes(
+    blocks: Sequence[str] | None = None, basis: str | None = None, structure: str = "Columns"
+) -> bytes:
+    """By default one reflection block with its peak on the diagonal, and one transmission block."""
+    if blocks is None:
+        values = "".join(
+            ", ".join(str(3.0 + i if i == j else 0.1 + 0.01 * i) for j in range(11)) + ",\n"
+            for i in range(11)
+        )
+        blocks = [klems_block_xml("Transmission Front", values), klems_block_xml("Reflection Front", values)]
+    return "\n".join([
+        '<?xml version="1.0" encoding="UTF-8"?>', '<WindowElement xmlns="http://windows.lbl.gov">',
+        "<WindowElementType>System</WindowElementType>", "<Optical><Layer><Material><Name>made up</Name>",
+        "<Manufacturer>nobody</Manufacturer></Material><DataDefinition>",
+        f"<IncidentDataStructure>{structure}</IncidentDataStructure>",
+        klems_basis_xml() if basis is None else basis, "</DataDefinition>", *blocks,
+        "</Layer></Optical></WindowElement>",
+    ]).encode()  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Sample:
     """A small file: its format's name, its bytes, how many samples it holds.
@@ -154,5 +198,6 @@ SAMPLES = [
     Sample("integra", integra_bytes(), 18, gridded=False),
     Sample("ssdd", ssdd_bytes(), 18),
     Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
+    Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("fred", fred_bytes(), 36, counted=False),
 ]
