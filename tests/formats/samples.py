@@ -7,6 +7,9 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import pyarrow
+import pyarrow.parquet
+
 
 def delimited_bytes() -> bytes:
     rows = ["# quantity: brdf", "# name: small", "theta_i_deg,theta_o_deg,dphi_deg,brdf_R,brdf_550nm"]
@@ -130,6 +133,20 @@ def ssdd_bytes(data: str = "ascii", dtype: str = "f") -> bytes:
     return start + "".join(f"{r} {g} {b}\n" for r, g, b in values).encode()
 
 
+def parquet_bytes() -> bytes:
+    """The rows of ``delimited_bytes`` (:mod:`tests.formats.test_parquet` relies on that)."""
+    columns: dict[str, list[float]] = {
+        name: [] for name in ("theta_i_deg", "theta_o_deg", "dphi_deg", "brdf_R", "brdf_550nm")
+    }
+    for line in delimited_bytes().decode().splitlines()[3:]:
+        for column, cell in zip(columns.values(), line.split(","), strict=True):
+            column.append(float(cell))
+    sink = pyarrow.BufferOutputStream()
+    table = pyarrow.table(columns, metadata={"quantity": "brdf", "name": "small", "operator": "A. B."})
+    pyarrow.parquet.write_table(table, sink)
+    return sink.getvalue().to_pybytes()
+
+
 #: A basis of 11 patches: (lower, upper, patches) of each band, degrees.
 KLEMS_BANDS = ((0.0, 20.0, 1), (20.0, 60.0, 4), (60.0, 90.0, 6))
 
@@ -198,6 +215,7 @@ SAMPLES = [
     Sample("integra", integra_bytes(), 18, gridded=False),
     Sample("ssdd", ssdd_bytes(), 18),
     Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
+    Sample("parquet", parquet_bytes(), 36),
     Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("fred", fred_bytes(), 36, counted=False),
 ]

@@ -48,10 +48,10 @@ def in_order(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_formats_that_can_be_written():
-    assert WRITABLE == ["astm", "delimited", "merl", "pab-opto", "zemax"]
+    assert WRITABLE == ["astm", "delimited", "merl", "pab-opto", "parquet", "zemax"]
 
 
-@pytest.mark.parametrize("name", ["astm", "delimited", "pab-opto"])
+@pytest.mark.parametrize("name", ["astm", "delimited", "pab-opto", "parquet"])
 def test_scattered_round_trip(name: str, tmp_path: Path):
     table = scattered()
     losses = write(table, tmp_path / "out", name)
@@ -86,9 +86,11 @@ def test_what_is_lost_is_said(tmp_path: Path):
     }  # fmt: skip
     assert "7" in losses["samples"]
     assert "operator" in losses["provenance"]
-    assert {loss.code for loss in write(table, tmp_path / "t.csv")} == set()
-    back = load(tmp_path / "t.csv")
-    assert back.hash == table.hash
+    for name in ("delimited", "parquet"):
+        assert write(table, tmp_path / "t", name) == []
+        back = load(tmp_path / "t")
+        assert back.hash == table.hash
+        assert (back.metadata.scale_uncertainty, back.metadata.aperture) == (0.02, 0.01)
 
 
 def test_negatives_are_kept(tmp_path: Path):
