@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fitter import directions
 from fitter.errors import FitterError, SpecError, TableError
 from fitter.formats import describe, formats, load, load_all, read_options
 from fitter.table import Table
@@ -54,6 +55,13 @@ def test_describe_is_json(sample: Sample):
     document = describe(load(sample.data))
     json.dumps(document, allow_nan=False)
     assert document["usable"] + sum(document["masked"].values()) == document["samples"]
+
+
+def test_describe_incidences_between_two_degrees():
+    for theta_i in np.deg2rad(np.arange(2.5, 89)):
+        wi = directions.vector_from_spherical(np.full(2, theta_i), [0.0, np.pi])
+        peaks = describe(Table(wi=wi, wo=directions.mirror(wi), value=[1.0, 2.0]))["peaks"]
+        assert peaks[0]["specular_side"]["theta_o_deg"] == pytest.approx(np.rad2deg(theta_i))
 
 
 @each
