@@ -7,7 +7,7 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.tabular import CONVENTIONS, read_columns
-from fitter.formats.tabular_header import Head, state
+from fitter.formats.tabular_header import Head, note_list, state
 from fitter.formats.tabular_writer import sheet
 from fitter.table import Table
 
@@ -165,20 +165,7 @@ def _head(source: Source, said: Mapping[str, str]) -> Head:
     head = Head()
     for key, text in said.items():
         if key == "notes":
-            head.notes += _notes(source, text)
+            head.notes += note_list(source, text)
         elif key not in _FOREIGN_KEYS:
             state(source, head, key, text)
     return head
-
-
-def _notes(source: Source, text: str) -> list[str]:
-    try:
-        notes: object = json.loads(text)
-    except (ValueError, RecursionError):
-        notes = None
-    if not isinstance(notes, list):
-        raise source.error(
-            "the metadata's notes are no list", "table-header", parameter="notes",
-            remedy="write them as a JSON list of sentences, or leave them out",
-        )  # fmt: skip
-    return [str(note) for note in cast("list[object]", notes)]

@@ -73,6 +73,20 @@ def state(source: Source, head: Head, key: str, text: str, row: int | None = Non
         head.numbers[key] = number
 
 
+def note_list(source: Source, text: str) -> list[str]:
+    """Notes from a JSON list, as the formats with metadata hold them. Raises TableError for anything else."""
+    try:
+        notes: object = json.loads(text)
+    except (ValueError, RecursionError):
+        notes = None
+    if not isinstance(notes, list):
+        raise source.error(
+            "the metadata's notes are no list", "table-header", parameter="notes",
+            remedy="write them as a JSON list of sentences, or leave them out",
+        )  # fmt: skip
+    return [str(note) for note in cast("list[object]", notes)]
+
+
 def declared_columns(source: Source, names: Sequence[str], options: ReadOptions) -> dict[int, Column]:
     """Position -> what it holds, for every column that is declared by its name or by ``columns=``.
 

@@ -6,9 +6,13 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
 
+import numpy as np
 import pyarrow
 import pyarrow.parquet
+from scipy.io import netcdf_file
 
 
 def delimited_bytes() -> bytes:
@@ -147,6 +151,24 @@ def parquet_bytes() -> bytes:
     return sink.getvalue().to_pybytes()
 
 
+def netcdf_bytes() -> bytes:
+    """The grid of ``delimited_bytes`` as axes and arrays: theta_i, theta_o and dphi are coordinates."""
+    sink = BytesIO()
+    file: Any = netcdf_file(sink, "w")
+    file.Conventions, file.quantity, file.title = b"CF-1.8", b"brdf", b"made up"
+    axes = {"theta_i": [10, 30, 50], "theta_o": [5, 25, 45, 65], "dphi": [0, 90, 180]}
+    for name, nodes in axes.items():
+        file.createDimension(name, len(nodes))
+        variable = file.createVariable(name, "f", (name,))
+        variable[:], variable.units = nodes, b"degrees"
+    rows = [float(line.split(",")[3]) for line in delimited_bytes().decode().splitlines()[3:]]
+    for name, share in (("brdf_R", 1.0), ("brdf_550nm", 0.5)):
+        variable = file.createVariable(name, "d", tuple(axes))
+        variable[:], variable.units = np.reshape(rows, (3, 4, 3)) * share, b"sr-1"
+    file.flush()
+    return sink.getvalue()
+
+
 #: A basis of 11 patches: (lower, upper, patches) of each band, degrees.
 KLEMS_BANDS = ((0.0, 20.0, 1), (20.0, 60.0, 4), (60.0, 90.0, 6))
 
@@ -216,6 +238,7 @@ SAMPLES = [
     Sample("ssdd", ssdd_bytes(), 18),
     Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
     Sample("parquet", parquet_bytes(), 36),
+    Sample("netcdf", netcdf_bytes(), 36),
     Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("fred", fred_bytes(), 36, counted=False),
 ]
