@@ -73,7 +73,8 @@ def in_plane_peaks(table: Table) -> list[dict[str, Any]]:
         found = found[np.unique(np.linspace(0, len(found) - 1, _INCIDENCES_SHOWN).round().astype(int))]
     peaks: list[dict[str, Any]] = []
     for incidence in np.deg2rad(found):
-        near = np.abs(theta_i - incidence) <= _AT_INCIDENCE / 2
+        # 22.5 deg is rounded to 22 and lies at the very edge: rounding must not put it outside.
+        near = np.abs(theta_i - incidence) <= _AT_INCIDENCE / 2 + 1e-9
         entry: dict[str, Any] = {"theta_i_deg": float(np.rad2deg(np.mean(theta_i[near & tilted])))}
         for side, here in sides.items():
             at = np.flatnonzero(near & here)

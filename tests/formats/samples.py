@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+from scipy.io import netcdf_file
 
 
 def delimited_bytes() -> bytes:
@@ -129,6 +137,81 @@ def ssdd_bytes(data: str = "ascii", dtype: str = "f") -> bytes:
     return start + "".join(f"{r} {g} {b}\n" for r, g, b in values).encode()
 
 
+def parquet_bytes() -> bytes:
+    """The rows of ``delimited_bytes`` (:mod:`tests.formats.test_parquet` relies on that)."""
+    columns: dict[str, list[float]] = {
+        name: [] for name in ("theta_i_deg", "theta_o_deg", "dphi_deg", "brdf_R", "brdf_550nm")
+    }
+    for line in delimited_bytes().decode().splitlines()[3:]:
+        for column, cell in zip(columns.values(), line.split(","), strict=True):
+            column.append(float(cell))
+    sink = pyarrow.BufferOutputStream()
+    table = pyarrow.table(columns, metadata={"quantity": "brdf", "name": "small", "operator": "A. B."})
+    pyarrow.parquet.write_table(table, sink)
+    return sink.getvalue().to_pybytes()
+
+
+def netcdf_bytes() -> bytes:
+    """The grid of ``delimited_bytes`` as axes and arrays: theta_i, theta_o and dphi are coordinates."""
+    sink = BytesIO()
+    file: Any = netcdf_file(sink, "w")
+    file.Conventions, file.quantity, file.title = b"CF-1.8", b"brdf", b"made up"
+    axes = {"theta_i": [10, 30, 50], "theta_o": [5, 25, 45, 65], "dphi": [0, 90, 180]}
+    for name, nodes in axes.items():
+        file.createDimension(name, len(nodes))
+        variable = file.createVariable(name, "f", (name,))
+        variable[:], variable.units = nodes, b"degrees"
+    rows = [float(line.split(",")[3]) for line in delimited_bytes().decode().splitlines()[3:]]
+    for name, share in (("brdf_R", 1.0), ("brdf_550nm", 0.5)):
+        variable = file.createVariable(name, "d", tuple(axes))
+        variable[:], variable.units = np.reshape(rows, (3, 4, 3)) * share, b"sr-1"
+    file.flush()
+    return sink.getvalue()
+
+
+#: A basis of 11 patches: (lower, upper, patches) of each band, degrees.
+KLEMS_BANDS = ((0.0, 20.0, 1), (20.0, 60.0, 4), (60.0, 90.0, 6))
+
+
+def klems_basis_xml(bands: Sequence[tuple[float, float, int]] = KLEMS_BANDS, name: str = "made up") -> str:
+    rows = ["<AngleBasis>", f"<AngleBasisName>{name}</AngleBasisName>"]
+    for lower, upper, count in bands:
+        rows += [f"<AngleBasisBlock><Theta>{(lower + upper) / 2 if lower else 0}</Theta>"]
+        rows += [f"<nPhis>{count}</nPhis><ThetaBounds><LowerTheta>{lower}</LowerTheta>"]
+        rows += [f"<UpperTheta>{upper}</UpperTheta></ThetaBounds></AngleBasisBlock>"]
+    return "\n".join([*rows, "</AngleBasis>"])
+
+
+def klems_block_xml(direction: str, values: str, wavelength: str = "Visible", basis: str = "made up") -> str:
+    return (
+        f'<WavelengthData><LayerNumber>System</LayerNumber><Wavelength unit="Integral">{wavelength}'
+        f"</Wavelength>\n<WavelengthDataBlock><WavelengthDataDirection>{direction}</WavelengthDataDirection>"
+        f"<ColumnAngleBasis>{basis}</ColumnAngleBasis><RowAngleBasis>{basis}</RowAngleBasis>"
+        f"<ScatteringDataType>BTDF</ScatteringDataType>\n<ScatteringData>\n{values}</ScatteringData>"
+        "</WavelengthDataBlock></WavelengthData>"
+    )
+
+
+def klems_bytes(
+    blocks: Sequence[str] | None = None, basis: str | None = None, structure: str = "Columns"
+) -> bytes:
+    """By default one reflection block with its peak on the diagonal, and one transmission block."""
+    if blocks is None:
+        values = "".join(
+            ", ".join(str(3.0 + i if i == j else 0.1 + 0.01 * i) for j in range(11)) + ",\n"
+            for i in range(11)
+        )
+        blocks = [klems_block_xml("Transmission Front", values), klems_block_xml("Reflection Front", values)]
+    return "\n".join([
+        '<?xml version="1.0" encoding="UTF-8"?>', '<WindowElement xmlns="http://windows.lbl.gov">',
+        "<WindowElementType>System</WindowElementType>", "<Optical><Layer><Material><Name>made up</Name>",
+        "<Manufacturer>nobody</Manufacturer></Material><DataDefinition>",
+        f"<IncidentDataStructure>{structure}</IncidentDataStructure>",
+        klems_basis_xml() if basis is None else basis, "</DataDefinition>", *blocks,
+        "</Layer></Optical></WindowElement>",
+    ]).encode()  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Sample:
     """A small file: its format's name, its bytes, how many samples it holds.
@@ -154,5 +237,8 @@ SAMPLES = [
     Sample("integra", integra_bytes(), 18, gridded=False),
     Sample("ssdd", ssdd_bytes(), 18),
     Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
+    Sample("parquet", parquet_bytes(), 36),
+    Sample("netcdf", netcdf_bytes(), 36),
+    Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("fred", fred_bytes(), 36, counted=False),
 ]

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fitter import directions
 from fitter.errors import FitterError, SpecError, TableError
 from fitter.formats import describe, formats, load, load_all, read_options
 from fitter.table import Table
@@ -23,8 +24,8 @@ each = pytest.mark.parametrize("sample", SAMPLES, ids=lambda s: s.name)
 
 def test_every_registered_format_has_a_sample():
     # The project's own compressed form has no independent writer: tests/compression has its tests.
-    # CUReT's is two files: test_several_files has its tests.
-    assert {f.name for f in formats()} - {"compressed", "curet"} == {s.name for s in SAMPLES}
+    # CUReT's is two files: test_several_files has its tests. UTIA's is always 2 MB: test_utia has.
+    assert {f.name for f in formats()} - {"compressed", "curet", "utia"} == {s.name for s in SAMPLES}
 
 
 def test_no_jax():
@@ -54,6 +55,13 @@ def test_describe_is_json(sample: Sample):
     document = describe(load(sample.data))
     json.dumps(document, allow_nan=False)
     assert document["usable"] + sum(document["masked"].values()) == document["samples"]
+
+
+def test_describe_incidences_between_two_degrees():
+    for theta_i in np.deg2rad(np.arange(2.5, 89)):
+        wi = directions.vector_from_spherical(np.full(2, theta_i), [0.0, np.pi])
+        peaks = describe(Table(wi=wi, wo=directions.mirror(wi), value=[1.0, 2.0]))["peaks"]
+        assert peaks[0]["specular_side"]["theta_o_deg"] == pytest.approx(np.rad2deg(theta_i))
 
 
 @each
@@ -177,7 +185,7 @@ def test_fuzz(sample: Sample):
 class TestSeveral:
     def write(self, folder: Path) -> Path:
         for k, sample in enumerate(SAMPLES):
-            (folder / f"{k}.dat").write_bytes(sample.data)
+            (folder / f"{k:02d}.dat").write_bytes(sample.data)
         (folder / ".hidden").write_bytes(b"")
         return folder
 
@@ -190,7 +198,7 @@ class TestSeveral:
         found = [load_all(folder), load_all(sorted(folder.glob("*.dat"))), load_all(archive.getvalue())]
         for tables in found:
             assert [t.metadata.source_format for t in tables] == [s.name for s in SAMPLES]
-        assert load_all(folder, item="2.dat")[0].metadata.source_format == "merl"
+        assert load_all(folder, item="02.dat")[0].metadata.source_format == "merl"
         with pytest.raises(TableError, match=f"holds {len(SAMPLES)} tables"):
             load(folder)
         assert load(folder, item=1).metadata.source_format == "astm"

@@ -1,0 +1,171 @@
+"""Parquet: the columns of delimited text, and its header lines as key-value metadata of the schema."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.formats.extras import optional_package
+from fitter.formats.output import write_aside
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.registry import Format, Loss
+from fitter.formats.source import Source
+from fitter.formats.tabular import CONVENTIONS, read_columns
+from fitter.formats.tabular_header import Head, note_list, state
+from fitter.formats.tabular_writer import sheet
+from fitter.table import Table
+
+FloatArray = NDArray[np.float64]
+
+NAME = "parquet"
+_MAGIC = b"PAR1"
+#: Bytes the columns may unpack to, whatever their count of rows: runs of one value pack without limit.
+LARGEST = 1 << 30
+#: Metadata of the programs that wrote the file, not of the measurement.
+_FOREIGN_KEYS = frozenset({"pandas", "ARROW:schema"})
+
+
+def sniff(head: bytes, size: int) -> float:
+    """Sure by the first four bytes."""
+    return 1.0 if head.startswith(_MAGIC) else 0.0
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns of a Parquet file, as the tabular reader wants them."""
+
+    source: Source
+    file: Any
+    names: Sequence[str]
+    numbers: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def floats(self, use: Sequence[int]) -> FloatArray:
+        """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
+        arrow = _arrow("pyarrow", self.source)
+        values = np.empty((len(self), len(use)))
+        for j, k in enumerate(use):
+            column = self._column(k)
+            kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
+            types = arrow.types
+            if not (
+                types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind)
+                or types.is_decimal(kind) or types.is_null(kind)
+            ):  # fmt: skip
+                raise self.source.error(
+                    f"the column holds {str(column.type)[:40]}, not numbers", "table-not-a-number",
+                    column=self.names[k], remedy="store it as float64, or declare it as 'ignore'",
+                )  # fmt: skip
+            with _refusing(self.source, self.names[k]):
+                numbers = column.cast(kind).cast(arrow.float64(), safe=False).to_numpy()
+            values[:, j] = numbers
+        return values
+
+    def texts(self, column: int) -> list[str]:
+        """One column as text, white space stripped; null is empty."""
+        arrow = _arrow("pyarrow", self.source)
+        with _refusing(self.source, self.names[column]):
+            cells = self._column(column).cast(arrow.string()).to_pylist()
+        return ["" if cell is None else str(cell).strip() for cell in cells]
+
+    def _column(self, k: int) -> Any:
+        name = self.names[k]
+        with _refusing(self.source, name):
+            table = self.file.read(columns=[name], use_threads=False)
+            if table.column_names != [name] or table.num_rows != len(self):
+                raise ValueError(f"{table.num_rows} rows of {', '.join(table.column_names)[:80]}")
+            return table.column(0)
+
+
+def read(source: Source, options: ReadOptions) -> list[Table]:
+    """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
+    arrow, parquet = _arrow("pyarrow", source), _arrow("pyarrow.parquet", source)
+    with _refusing(source):
+        file = parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
+        schema, metadata = file.schema_arrow, file.metadata
+        rows, names = int(metadata.num_rows), list(schema.names)
+        groups = [int(metadata.row_group(k).num_rows) for k in range(metadata.num_row_groups)]
+        said = _text(metadata.metadata or {})
+    if rows < 1 or not names or sum(groups) != rows or min(groups) < 0:
+        raise source.error(
+            f"the file states {rows:,} rows of {len(names)} columns in {len(groups)} groups", "table-empty",
+            remedy="check that it is whole",
+        )  # fmt: skip
+    if rows * len(names) * 8 > LARGEST:
+        raise source.error(
+            f"the file states {rows:,} rows of {len(names)} columns, more than {LARGEST / 1e9:.1f} GB",
+            "table-too-large", remedy="write the columns of one table only, or divide it",
+        )  # fmt: skip
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise source.error(
+            f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
+            remedy="give every column its own name",
+        )  # fmt: skip
+    columns = _Columns(source, file, names, np.arange(1, rows + 1))
+    return read_columns(source, options, _head(source, said), columns, format=NAME, text=False)
+
+
+def write(table: Table, path: Path) -> list[Loss]:
+    """Write ``table`` as Parquet: float64 columns and metadata that read back bit for bit."""
+    arrow, parquet = _arrow("pyarrow", None), _arrow("pyarrow.parquet", None)
+    content = sheet(table)
+    said = {**content.statements, "notes": json.dumps(content.notes)}
+    columns: dict[str, Any] = dict(content.columns)
+    if content.usable is not None:
+        columns["usable"] = content.usable
+    arrays = [arrow.array(np.ascontiguousarray(column)) for column in columns.values()]
+    sink = arrow.BufferOutputStream()
+    parquet.write_table(arrow.table(arrays, names=list(columns), metadata=said), sink, compression="zstd")
+    write_aside(path, [sink.getvalue().to_pybytes()])
+    return []
+
+
+FORMAT = Format(
+    NAME,
+    "Parquet columns declared as in delimited text (needs pyarrow)",
+    CONVENTIONS,
+    sniff,
+    read,
+    write=write,
+)
+
+
+def _arrow(module: str, source: Source | None) -> Any:
+    return optional_package(module, "arrow", "Parquet files", None if source is None else source.name)
+
+
+@contextmanager
+def _refusing(source: Source, column: str | None = None) -> Generator[None]:
+    """Turn what pyarrow raises at damaged bytes into a TableError."""
+    try:
+        yield
+    except (_arrow("pyarrow", source).ArrowException, OSError, ValueError, MemoryError) as error:
+        reason = str(error).partition("\n")[0][:160]
+        raise source.error(
+            f"the Parquet file can't be read: {reason}", "table-truncated", column=column,
+            cause="the file is cut off, damaged or encrypted", remedy="fetch the file again",
+        ) from error  # fmt: skip
+
+
+def _text(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+    return {key.decode(): text.decode() for key, text in metadata.items()}
+
+
+def _head(source: Source, said: Mapping[str, str]) -> Head:
+    head = Head()
+    for key, text in said.items():
+        if key == "notes":
+            head.notes += note_list(source, text)
+        elif key not in _FOREIGN_KEYS:
+            state(source, head, key, text)
+    return head

@@ -1,0 +1,74 @@
+"""UTIA BRDF database, binary (Filip and Vavra 2014): three bare float64 planes over pairs of directions.
+
+Index: plane, then theta_i, phi_i, theta_v, phi_v, the last running fastest; theta 0, 15 ... 75 deg, phi 0,
+7.5 ... 352.5 deg. The layout is that of the reader the database's authors published; no file states it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fitter.formats.assemble import Reading, build, stated_quantity, to_brdf
+from fitter.formats.read_options import ReadOptions
+from fitter.formats.registry import Format
+from fitter.formats.source import Source
+from fitter.table import Channel, Grid, Table
+
+NAME = "utia"
+CONVENTIONS = ("phi_specular_180", "phi_specular_0")
+_THETA, _PHI = 6, 48
+_ROWS = _THETA * _PHI
+#: Bytes of a file: it has no header, so its size is what tells it.
+SIZE = 3 * _ROWS * _ROWS * 8
+
+
+def sniff(head: bytes, size: int) -> float:
+    """Sure of a file of the one size whose first bytes are float64 numbers that a BRDF could have."""
+    if size != SIZE:
+        return 0.0
+    numbers = np.frombuffer(head, "<f8", count=len(head) // 8)
+    # Bytes of another kind make numbers of every magnitude, down to 1e-308.
+    with np.errstate(invalid="ignore"):
+        magnitude = np.abs(numbers)
+        likely = (magnitude > 1e-9) & (magnitude < 1e6)
+    possible = likely | (numbers == 0) | np.isnan(numbers)
+    return 0.95 if possible.mean() > 0.99 and likely.mean() > 0.05 else 0.0
+
+
+def read(source: Source, options: ReadOptions) -> list[Table]:
+    """The table on its grid. Negative values, which some of the database's files have, are masked."""
+    quantity, notes = stated_quantity(options, "brdf", "nothing, and the database's are BRDF")
+    convention = options.convention or CONVENTIONS[0]
+    if len(source.buffer) != SIZE:
+        raise source.error(
+            f"the file has {len(source.buffer):,} bytes and a UTIA file {SIZE:,}", "table-truncated",
+            cause="the file was changed while it was read", remedy="fetch the file again",
+        )  # fmt: skip
+    planes = np.frombuffer(source.buffer, "<f8").reshape(3, _ROWS, _THETA, _PHI)
+    if convention == "phi_specular_0":
+        planes = np.roll(planes, _PHI // 2, axis=-1)
+    value = planes.reshape(3, -1).T
+    theta = np.deg2rad(15.0 * np.arange(_THETA))
+    phi = np.deg2rad(7.5 * np.arange(_PHI))
+    grid = Grid(
+        "spherical", {"theta_i": theta, "phi_i": phi, "theta_o": theta, "phi_o": phi},
+        {"phi_i": 2 * np.pi, "phi_o": 2 * np.pi},
+    )  # fmt: skip
+    cos_o = np.cos(np.tile(np.repeat(theta, _PHI), _ROWS))
+    side = "180" if convention == "phi_specular_180" else "0"
+    notes += [
+        f"Azimuths were read so that mirror reflection is at phi_o - phi_i = {side} deg.",
+        "The file has no header: values were taken as stored. Programs disagree on their scale (some divide "
+        "by 140, or undo an sRGB curve), so compare the albedo with what is known of the sample.",
+        "Directions end at 75 deg from the normal: what lies beyond is extrapolated.",
+    ]
+    reading = Reading(NAME, quantity, value, [Channel(c) for c in "RGB"], symmetry="anisotropic")
+    return [
+        build(
+            source, options, reading, convention, notes, value=to_brdf(value, quantity, cos_o), grid=grid,
+            symmetric=False,
+        )
+    ]  # fmt: skip
+
+
+FORMAT = Format(NAME, "UTIA database binary, anisotropic RGB without a header", CONVENTIONS, sniff, read)
