@@ -35,6 +35,7 @@ class Reading:
 
     value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None.
     statements : what the file says beside the samples (scale_uncertainty, aperture, ...; radians).
+    text : False for a binary file, whose last byte ends no line.
     """
 
     source_format: str
@@ -49,6 +50,7 @@ class Reading:
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     statements: Mapping[str, float] = field(default_factory=dict[str, float])
     notes: tuple[str, ...] = ()
+    text: bool = True
 
 
 def assemble(
@@ -74,7 +76,7 @@ def assemble(
     zeros = int(np.count_nonzero(value[slice(None) if reading.usable is None else reading.usable] == 0))
     if zeros:
         notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
-    if not source.ends_in_newline:
+    if reading.text and not source.ends_in_newline:
         notes.append("The last line has no line end: check that the file is whole.")
     one = _common_incidence(geometry)
     if len(value) == 1:

@@ -177,7 +177,7 @@ def test_fuzz(sample: Sample):
 class TestSeveral:
     def write(self, folder: Path) -> Path:
         for k, sample in enumerate(SAMPLES):
-            (folder / f"{k}.dat").write_bytes(sample.data)
+            (folder / f"{k:02}.dat").write_bytes(sample.data)
         (folder / ".hidden").write_bytes(b"")
         return folder
 
@@ -190,7 +190,7 @@ class TestSeveral:
         found = [load_all(folder), load_all(sorted(folder.glob("*.dat"))), load_all(archive.getvalue())]
         for tables in found:
             assert [t.metadata.source_format for t in tables] == [s.name for s in SAMPLES]
-        assert load_all(folder, item="2.dat")[0].metadata.source_format == "merl"
+        assert load_all(folder, item="02.dat")[0].metadata.source_format == "merl"
         with pytest.raises(TableError, match=f"holds {len(SAMPLES)} tables"):
             load(folder)
         assert load(folder, item=1).metadata.source_format == "astm"
