@@ -17,6 +17,7 @@ from fitter.formats.adaptive import Adaptive
 from fitter.formats.assemble import Reading, assemble, stated_quantity
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.rgl_writer import MEASURED, write_rgl
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import MAGIC, fields
 from fitter.table import Channel, Table
@@ -25,8 +26,6 @@ FloatArray = NDArray[np.float64]
 Fields = dict[str, NDArray[Any]]
 
 NAME = "rgl"
-#: A field this program adds: 0 for samples that were not measured. Other readers look only for their own.
-MEASURED = "measured"
 #: Dimensions of the fields that are needed beside the data.
 _NEEDED = {"theta_i": 1, "phi_i": 1, "sigma": 2, "ndf": 2, "vndf": 4, "jacobian": 1}
 _LONGEST_NAME = 120
@@ -64,7 +63,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     return [assemble(source, options, reading, geometry)]
 
 
-FORMAT = Format(NAME, "EPFL RGL tensor file, RGB or spectral", (), sniff, read)
+FORMAT = Format(NAME, "EPFL RGL tensor file, RGB or spectral", (), sniff, read, write=write_rgl)
 
 
 def samples(adaptive: Adaptive) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -126,11 +125,14 @@ def adaptive_of(source: Source, found: Fields) -> tuple[Adaptive, list[Channel]]
 def _channels(source: Source, found: Fields, key: str) -> list[Channel]:
     if key == "rgb":
         return [Channel(c) for c in "RGB"]
+    stored = found["wavelengths"]
     with np.errstate(invalid="ignore"):
-        wavelengths = np.asarray(found["wavelengths"], np.float64)
+        wavelengths = np.asarray(stored, np.float64)
     if not (np.isfinite(wavelengths).all() and (wavelengths > 0).all() and (np.diff(wavelengths) > 0).all()):
         raise _unfit(source, "wavelengths", "are not increasing positive numbers", "they are nanometres")
-    return [Channel(f"{nm:.9g}nm", float(nm)) for nm in wavelengths]
+    # The shortest number that is the stored one: 633.1, not the nearest float32 with all its digits.
+    texts = [np.format_float_positional(nm, trim="-") for nm in stored]
+    return [Channel(f"{text}nm", float(text)) for text in texts]
 
 
 def _angles(source: Source, found: Fields, name: str, low: float, high: float) -> FloatArray:

@@ -164,7 +164,7 @@ def rgl_fields(
         "jacobian": ("B", (1,), [1]),
     }
     if spectral:
-        fields["wavelengths"] = ("f", (4,), [400.0, 500.5, 600.0, 700.0])
+        fields["wavelengths"] = ("f", (4,), [400.0, 500.1, 600.0, 700.0])
     fields["spectra" if spectral else "rgb"] = ("f", (len(phi_i), 3, channels, n, n), data)
     return fields
 

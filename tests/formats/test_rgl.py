@@ -72,7 +72,7 @@ class TestSamples:
     def test_channels(self):
         table = load(tensor_file(rgl_fields(spectral=True)))
         assert [(c.name, c.wavelength_nm) for c in table.channels] == [
-            ("400nm", 400.0), ("500.5nm", 500.5), ("600nm", 600.0), ("700nm", 700.0)
+            ("400nm", 400.0), ("500.1nm", 500.1), ("600nm", 600.0), ("700nm", 700.0)
         ]  # fmt: skip
         table = load(rgl_bytes())
         assert [c.name for c in table.channels] == ["R", "G", "B"]

@@ -48,7 +48,7 @@ def in_order(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_formats_that_can_be_written():
-    assert WRITABLE == ["astm", "delimited", "mbsdf", "merl", "pab-opto", "zemax"]
+    assert WRITABLE == ["astm", "delimited", "mbsdf", "merl", "pab-opto", "rgl", "zemax"]
 
 
 @pytest.mark.parametrize("name", ["astm", "delimited", "pab-opto"])
