@@ -31,11 +31,10 @@ BoolArray = NDArray[np.bool_]
 MEASURED = "measured"
 #: Nodes of the distributions on each axis, as in the database.
 _NODES = 128
-#: Samples of an incidence on each axis (the database has 32): the second of many, to keep files small.
-_STEPS, _FEWER_STEPS, _FEW = 128, 64, 16
-_INCIDENCES = 40
-#: Incidences lie no further apart than this, radians.
-_WIDEST_STEP = np.deg2rad(7.0)
+#: Samples of an incidence on each axis (the database has 32) for up to so many incidences.
+_STEPS = ((100, 64), (10**6, 32))
+#: How many of a table's own angles of incidence there may be, and how far apart nodes may lie (radians).
+_ISOTROPIC, _ANISOTROPIC, _AZIMUTHS = (40, np.deg2rad(7.0)), (10, np.deg2rad(15.0)), (25, np.deg2rad(30.0))
 #: Weights of linear R, G, B in the luminance that renderers draw from, those of the database's files.
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
 #: Widths of the narrowest distribution: a mirror's samples would lie within the rounding of float32; and with
@@ -46,23 +45,22 @@ _COMPARED = 4000
 
 
 def write_rgl(table: Table, path: Path) -> list[Loss]:
-    """Write an isotropic ``table`` at up to 40 of its incidences and some between, 128^2 or 64^2 samples
-    each.
+    """Write ``table`` interpolated at its incidences (or as many as it takes) and some between them.
 
     Samples outside what was measured hold the interpolant's continuation, for renderers, and are marked in a
-    field of their own, by which this program's reader knows them. Raises TableError for anisotropic tables,
-    and for channels that are neither one, nor three, nor all of known wavelengths.
+    field of their own, by which this program's reader knows them. Raises TableError for tables of one
+    plane only, and for channels that are neither one, nor three, nor all of known wavelengths.
     """
     order, losses = _channels(table)
-    if table.symmetry == "anisotropic":
+    if table.domain.in_plane:
         raise unwritable(
-            table, "RGL files are written of isotropic surfaces and the table is anisotropic",
-            "use delimited text",
+            table, "an RGL file holds the whole hemisphere and the table only the plane of incidence",
+            "use delimited text, or fit a model",
         )  # fmt: skip
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
-    bare = _parameterisation(_incidences(wi), alpha, len(order))
+    bare = _parameterisation(*_incidences(table, wi), alpha)
     data, measured, above = _sampled(table, bare)
     adaptive = Adaptive(bare.theta_i, bare.phi_i, bare.ndf, bare.sigma, bare.vndf, data[:, order])
     losses.append(Loss("resampled", _resampled(table, adaptive, order, measured, above)))
@@ -108,23 +106,32 @@ def _channels(table: Table) -> tuple[list[int], list[Loss]]:
     )  # fmt: skip
 
 
-def _incidences(wi: FloatArray) -> FloatArray:
-    """Incident angles (T,) as float32 holds them, increasing: the table's own, and some between them.
+def _incidences(table: Table, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Incident angles (T,) and azimuths (P,): the table's own, and some between them."""
+    theta, phi = directions.spherical_from_vector(wi)
+    if table.symmetry == "isotropic":
+        return _nodes(theta, *_ISOTROPIC), np.zeros(1)
+    # Both ends of a whole turn, as in the database.
+    phi = np.concatenate([phi[theta > 1e-3], [-np.pi, np.pi]])
+    return _nodes(theta, *_ANISOTROPIC), _nodes(phi, *_AZIMUTHS)
+
+
+def _nodes(own: FloatArray, most: int, widest: float) -> FloatArray:
+    """Increasing angles as float32 holds them.
 
     The format interpolates at a fixed place in the lobe, the table otherwise: close nodes keep to the table.
     """
-    theta = np.unique(np.round(directions.spherical_from_vector(wi)[0], 7))
-    if len(theta) > _INCIDENCES:
-        theta = np.linspace(float(theta[0]), float(theta[-1]), _INCIDENCES)
+    nodes = np.unique(np.round(own, 7))
+    if len(nodes) > most:
+        nodes = np.linspace(float(nodes[0]), float(nodes[-1]), most)
     between = [
-        np.linspace(low, high, int(np.ceil((high - low) / _WIDEST_STEP)), endpoint=False)
-        for low, high in pairwise(theta)
+        np.linspace(low, high, int(np.ceil((high - low) / widest - 1e-6)), endpoint=False)
+        for low, high in pairwise(nodes)
     ]
-    theta = np.concatenate([*between, theta[-1:]])
-    return np.unique(theta.astype(np.float32)).astype(np.float64)
+    return np.unique(np.concatenate([*between, nodes[-1:]]).astype(np.float32)).astype(np.float64)
 
 
-def _parameterisation(theta_i: FloatArray, alpha: float, channels: int) -> Adaptive:
+def _parameterisation(theta_i: FloatArray, phi_i: FloatArray, alpha: float) -> Adaptive:
     """Where the samples lie, without their values; everything rounded to float32, as the file holds it."""
     u = np.linspace(0.0, 1.0, _NODES)
     theta = u * u * (np.pi / 2)
@@ -134,19 +141,20 @@ def _parameterisation(theta_i: FloatArray, alpha: float, channels: int) -> Adapt
     ndf = np.mean([a**2 / (np.pi * (c * c * (a**2 - 1) + 1) ** 2) for a in widths], axis=0)
     # The projected area of the visible microfacets is cos / G1 with Smith's masking.
     sigma = np.mean([0.5 * (c + np.sqrt(a**2 * s * s + c * c)) for a in widths], axis=0)
-    phi = (2 * u - 1) * np.pi
+    phi, incidence = np.meshgrid(phi_i, theta_i, indexing="ij")
+    across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))[:, :, None] * s
+    theta = incidence.reshape(-1, 1, 1)
     # wi . m on (incidence, phi_m, theta_m); the density of m over u has the Jacobian u sin(theta).
-    cosine = np.sin(theta_i)[:, None, None] * (np.cos(phi)[:, None] * s) + np.cos(theta_i)[:, None, None] * c
-    vndf = ndf * np.maximum(cosine, 0.0) * u * s
+    vndf = ndf * np.maximum(np.sin(theta) * across + np.cos(theta) * c, 0.0) * u * s
     vndf /= vndf.mean(axis=(1, 2), keepdims=True)
     both = [np.tile(row, (2, 1)).astype(np.float32) for row in (ndf, sigma)]
-    steps = _STEPS if len(theta_i) <= _FEW else _FEWER_STEPS
-    empty = np.zeros((len(theta_i), channels, steps, steps), np.float32)
-    return Adaptive(theta_i, np.zeros(1), both[0], both[1], vndf.astype(np.float32), empty)
+    steps = next(steps for most, steps in _STEPS if incidence.size <= most)
+    empty = np.zeros((incidence.size, 1, steps, steps), np.float32)
+    return Adaptive(theta_i, phi_i, both[0], both[1], vndf.astype(np.float32), empty)
 
 
 def _sampled(table: Table, bare: Adaptive) -> tuple[Float32Array, BoolArray, BoolArray]:
-    """Data (T, C, N, N), and (T, N N) which samples were measured and which lie above the horizon."""
+    """Data (P T, C, N, N), and (P T, N N) which samples were measured and which lie above the horizon."""
     steps, channels = bare.data.shape[-1], len(table.channels)
     data = np.zeros((len(bare.vndf), channels, steps, steps), np.float32)
     measured = np.zeros((len(data), steps * steps), bool)
@@ -187,7 +195,7 @@ def _resampled(
 def _fields(
     table: Table, adaptive: Adaptive, order: Sequence[int], measured: BoolArray, above: BoolArray
 ) -> dict[str, NDArray[Any]]:
-    shape, image = (1, len(adaptive.theta_i)), adaptive.data.shape[-2:]
+    shape, image = (len(adaptive.phi_i), len(adaptive.theta_i)), adaptive.data.shape[-2:]
     chosen: list[Channel] = [table.channels[k] for k in order]
     spectral = all(channel.wavelength_nm is not None for channel in chosen) and len(set(order)) == len(order)
     weights = np.full(len(order), 1 / len(order)) if spectral else np.array(_LUMINANCE)

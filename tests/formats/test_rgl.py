@@ -256,6 +256,20 @@ class TestMeasured:
                     assert peak["specular_side"]["value_per_sr"] > peak["retro_side"]["value_per_sr"]
 
     @pytest.mark.parametrize("material", MATERIALS)
+    def test_it_reflects_no_more_than_arrives(self, shared: Path, material: str):
+        """The values hold the cosine: their integral over directions is the reflectance."""
+        adaptive = opened(shared / f"measured/rgl/{material}_rgb.bsdf")
+        theta, phi = (np.arange(180) + 0.5) / 180 * np.pi / 2, (np.arange(360) + 0.5) / 180 * np.pi
+        t, p = (g.reshape(-1) for g in np.meshgrid(theta, phi, indexing="ij"))
+        wo, area = directions.vector_from_spherical(t, p), np.sin(t) * (np.pi / 360) * (np.pi / 180)
+        for theta_i in np.deg2rad([10.0, 50.0]):
+            wi = np.tile(directions.vector_from_spherical(theta_i, 0.0), (len(wo), 1))
+            reflectance = adaptive.evaluate(wi, wo).T @ area
+            print(material, np.rad2deg(theta_i), reflectance)
+            assert (reflectance > -0.01).all()
+            assert (reflectance < 1.0).all()
+
+    @pytest.mark.parametrize("material", MATERIALS)
     def test_the_directions_are_those_of_its_makers(self, shared: Path, material: str):
         """The file's own bits say which samples lie above the horizon (in one file: which do not)."""
         path = shared / f"measured/rgl/{material}_rgb.bsdf"

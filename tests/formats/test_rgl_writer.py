@@ -45,7 +45,7 @@ def smooth(channels: int = 1, names: list[Channel] | None = None) -> Table:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rgl_writer, "_STEPS", 24)
+    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, 24),))
 
 
 @pytest.mark.usefixtures("few")
@@ -114,6 +114,48 @@ class TestRoundTrip:
             assert np.isfinite(found[name]).all()
 
 
+def test_anisotropic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A surface that is brighter along x: at the samples, and between them."""
+    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, 16),))
+
+    def bright(wi: FloatArray, wo: FloatArray) -> FloatArray:
+        return 1.0 + 0.4 * (wi[:, 0] + wo[:, 0]) ** 2 + 0.1 * wi[:, 1] * wo[:, 0]
+
+    axes = {
+        "theta_i": [0, 15, 30, 45], "phi_i": np.arange(-180, 180, 15), "theta_o": np.arange(0, 81, 8),
+        "phi_o": np.arange(-180, 180, 15),
+    }  # fmt: skip
+    grid = Grid(
+        "spherical", {name: np.deg2rad(axis) for name, axis in axes.items()},
+        {"phi_i": 2 * np.pi, "phi_o": 2 * np.pi},
+    )  # fmt: skip
+    wi, wo = grid.directions()
+    table = Table(grid=grid, value=bright(wi, wo))
+    assert {loss.code for loss in write(table, tmp_path / "t.bsdf", "rgl")} == {"channels", "resampled"}
+    back = load(tmp_path / "t.bsdf")
+    assert back.symmetry == "anisotropic"
+    own = np.flatnonzero(back.mask)[::7]
+    found, outside = table.evaluate(back.wi[own], back.wo[own])
+    np.testing.assert_allclose(back.value[own][~outside], np.tile(found, 3)[~outside], rtol=1e-6)
+    assert outside.mean() < 0.01
+    rng = np.random.default_rng(1)
+    wi = directions.vector_from_spherical(rng.uniform(0, 0.75, 500), rng.uniform(-3.1, 3.1, 500))
+    wo = directions.vector_from_spherical(rng.uniform(0, 1.0, 500), rng.uniform(-3.1, 3.1, 500))
+    between = opened(tmp_path / "t.bsdf").evaluate(wi, wo)[:, 0] / wo[:, 2]
+    assert np.median(np.abs(between / bright(wi, wo) - 1)) < 0.01
+    np.testing.assert_allclose(between, bright(wi, wo), rtol=0.1)
+
+
+@pytest.mark.usefixtures("few")
+def test_one_incidence(tmp_path: Path):
+    plain = smooth(3)
+    wi, wo = plain.grid.directions() if plain.grid is not None else (plain.wi, plain.wo)
+    one = wi[:, 2] < 0.7
+    table = Table(wi=wi[one], wo=wo[one], value=plain.value[one])
+    write(table, tmp_path / "t.bsdf", "rgl")
+    assert load(tmp_path / "t.bsdf").domain.incidences == 1
+
+
 @pytest.mark.parametrize("alpha", [0.02, 0.05, 0.15])
 def test_the_width_of_the_lobe(alpha: float):
     rng = np.random.default_rng(2)
@@ -126,6 +168,7 @@ def test_the_width_of_the_lobe(alpha: float):
     assert lobe_width(wi, wo, np.full(len(wi), 0.3)) == 0.2
 
 
+@pytest.mark.usefixtures("few")
 def test_a_narrow_lobe_is_found_again(tmp_path: Path):
     """A mirror-like lobe over a diffuse base, of which the table has directions about the specular one."""
     alpha = 0.05
@@ -144,10 +187,12 @@ def test_a_narrow_lobe_is_found_again(tmp_path: Path):
 
 
 def test_refused(tmp_path: Path):
-    rng = np.random.default_rng(4)
-    w = [directions.vector_from_spherical(rng.uniform(0, 1.2, 60), rng.uniform(-3, 3, 60)) for _ in "io"]
-    crooked = Table(wi=w[0], wo=w[1], value=rng.uniform(0.1, 1, 60), symmetry="anisotropic")
-    for table in (crooked, smooth(2)):
+    theta = np.deg2rad(np.arange(0, 80, 5.0))
+    wi, wo = (
+        np.tile(directions.vector_from_spherical(0.5, 0.0), (16, 1)),
+        directions.vector_from_spherical(theta, np.pi),
+    )
+    for table in (Table(wi=wi, wo=wo, value=np.ones(16)), smooth(2)):
         with pytest.raises(TableError) as caught:
             write(table, tmp_path / "t.bsdf", "rgl")
         assert caught.value.code == "table-unwritable"
