@@ -49,7 +49,8 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
 
     Samples outside what was measured hold the interpolant's continuation, for renderers, and are marked in a
     field of their own, by which this program's reader knows them. Raises TableError for tables of one
-    plane only, and for channels that are neither one, nor three, nor all of known wavelengths.
+    plane or of few directions, and for channels that are neither one, nor three, nor all of known
+    wavelengths.
     """
     order, losses = _channels(table)
     if table.domain.in_plane:
@@ -62,6 +63,11 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
     bare = _parameterisation(*_incidences(table, wi), alpha)
     data, measured, above = _sampled(table, bare)
+    if not measured.any():
+        raise unwritable(
+            table, "the table has too few directions for each incidence to interpolate between them",
+            "use delimited text, or fit a model",
+        )  # fmt: skip
     adaptive = Adaptive(bare.theta_i, bare.phi_i, bare.ndf, bare.sigma, bare.vndf, data[:, order])
     losses.append(Loss("resampled", _resampled(table, adaptive, order, measured, above)))
     write_aside(path, tensor_bytes(_fields(table, adaptive, order, measured, above)))

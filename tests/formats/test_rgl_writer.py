@@ -186,13 +186,17 @@ def test_a_narrow_lobe_is_found_again(tmp_path: Path):
     np.testing.assert_allclose(found, table.value[near, 0], rtol=0.05)
 
 
+@pytest.mark.usefixtures("few")
 def test_refused(tmp_path: Path):
     theta = np.deg2rad(np.arange(0, 80, 5.0))
     wi, wo = (
         np.tile(directions.vector_from_spherical(0.5, 0.0), (16, 1)),
         directions.vector_from_spherical(theta, np.pi),
     )
-    for table in (Table(wi=wi, wo=wo, value=np.ones(16)), smooth(2)):
+    rng = np.random.default_rng(4)
+    w = [directions.vector_from_spherical(rng.uniform(0, 1.2, 60), rng.uniform(-3, 3, 60)) for _ in "io"]
+    few = Table(wi=w[0], wo=w[1], value=rng.uniform(0.1, 1, 60), symmetry="anisotropic")
+    for table in (Table(wi=wi, wo=wo, value=np.ones(16)), smooth(2), few):
         with pytest.raises(TableError) as caught:
             write(table, tmp_path / "t.bsdf", "rgl")
         assert caught.value.code == "table-unwritable"
