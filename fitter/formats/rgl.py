@@ -49,7 +49,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             f"The file holds incident azimuths from {low:.4g} to {high:.4g} deg and states that the rest "
             "repeat them; only those it holds are in the table."
         )
-    negative = int(np.count_nonzero((values < 0).any(axis=1)))
+    negative = int(np.count_nonzero((values < 0).any(axis=1) & (wo[:, 2] > 0)))
     if negative:
         notes.append(f"{negative} samples are negative in a channel: noise, or colours outside the gamut.")
     stated = _text(found["description"]) if "description" in found else ""
