@@ -52,8 +52,6 @@ SURE = 0.5
 
 #: Formats that are recognised so that the message can name them, though nothing here reads them yet.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
-    (rb"tensor_file\0", "an EPFL RGL tensor file"),
-    (rb"NVIDIA ARC MBSDF", "an NVIDIA MBSDF file"),
     (rb"\x1f\x8b", "gzip-compressed: unpack it first"),
     (rb"%PDF-", "a PDF document"),
     (rb"\x89PNG|\xff\xd8\xff|\x76\x2f\x31\x01", "a picture"),

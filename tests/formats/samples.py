@@ -210,6 +210,58 @@ def klems_bytes(
         klems_basis_xml() if basis is None else basis, "</DataDefinition>", *blocks,
         "</Layer></Optical></WindowElement>",
     ]).encode()  # fmt: skip
+TENSOR_TYPES = {"B": 1, "H": 3, "I": 5, "f": 10, "d": 11}
+
+
+def tensor_file(fields: dict[str, tuple[str, tuple[int, ...], list[float]]], version: int = 1) -> bytes:
+    """A tensor file of name -> (type as in struct, shape, values)."""
+    at = 18 + sum(13 + len(name) + 8 * len(shape) for name, (_, shape, _) in fields.items())
+    head, body = struct.pack("<12sBBI", b"tensor_file\0", version, 0, len(fields)), b""
+    for name, (kind, shape, values) in fields.items():
+        head += struct.pack("<H", len(name)) + name.encode()
+        head += struct.pack(f"<HBQ{len(shape)}Q", len(shape), TENSOR_TYPES[kind], at + len(body), *shape)
+        assert len(values) == math.prod(shape)
+        body += struct.pack(f"<{len(values)}{kind}", *(v if kind in "fd" else int(v) for v in values))
+    return head + body
+
+
+def rgl_fields(
+    phi_i: tuple[float, ...] = (0.0,), spectral: bool = False, resolution: int = 4
+) -> dict[str, tuple[str, tuple[int, ...], list[float]]]:
+    """Fields of an RGL file whose warp is the identity: all visible normals alike in the unit square."""
+    theta_i, n, channels = (0.0, 0.5, 1.0), resolution, 4 if spectral else 3
+    text = b"made up"
+    nodes = len(phi_i) * len(theta_i)
+    data = [0.25 + (7 * k % 23) / 23 for k in range(nodes * channels * n * n)]
+    fields: dict[str, tuple[str, tuple[int, ...], list[float]]] = {
+        "version": ("I", (2,), [1, 0]),
+        "description": ("B", (len(text),), list(text)),
+        "phi_i": ("f", (len(phi_i),), list(phi_i)),
+        "theta_i": ("f", (3,), list(theta_i)),
+        "sigma": ("f", (2, 3), [1.0, 0.75, 0.5] * 2),
+        "ndf": ("f", (2, 3), [4.0, 1.0, 0.0] * 2),
+        "vndf": ("f", (len(phi_i), 3, 3, 5), [2.0] * (nodes * 15)),
+        "luminance": ("f", (len(phi_i), 3, n, n), [1.0] * (nodes * n * n)),
+        "jacobian": ("B", (1,), [1]),
+    }
+    if spectral:
+        fields["wavelengths"] = ("f", (4,), [400.0, 500.1, 600.0, 700.0])
+    fields["spectra" if spectral else "rgb"] = ("f", (len(phi_i), 3, channels, n, n), data)
+    return fields
+
+
+def rgl_bytes() -> bytes:
+    return tensor_file(rgl_fields())
+
+
+def mbsdf_bytes(theta: int = 4, phi: int = 5, channels: int = 3, part: str = "_REFLECTION") -> bytes:
+    """Values that tell their own cell: theta_in + theta_out / 10 + phi / 100 + channel / 1000."""
+    values = [
+        i + o / 10 + p / 100 + c / 1000
+        for i in range(theta) for o in range(theta) for p in range(phi) for c in range(channels)
+    ]  # fmt: skip
+    head = f"NVIDIA ARC MBSDF V1\nMBSDF_DATA{part}=\n".encode()
+    return head + struct.pack(f"<3I{len(values)}f", channels == 3, theta, phi, *values)
 
 
 @dataclass(frozen=True)
@@ -241,4 +293,6 @@ SAMPLES = [
     Sample("netcdf", netcdf_bytes(), 36),
     Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("fred", fred_bytes(), 36, counted=False),
+    Sample("rgl", rgl_bytes(), 48, gridded=False),
+    Sample("mbsdf", mbsdf_bytes(), 80),
 ]

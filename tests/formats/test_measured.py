@@ -98,10 +98,9 @@ def test_ptfe_by_declared_columns(shared: Path):
 
 @pytest.mark.parametrize(
     "name",
-    ["mdl/carpaint_blue.mbsdf", "rgl/aurora_white_rgb.bsdf",
-     "curet/table.txt", "README.md", "nist_ptfe/PTFE.data.csv"],
-)  # fmt: skip
-def test_what_is_not_read_yet_is_a_typed_error(shared: Path, name: str):
+    ["curet/table.txt", "README.md", "nist_ptfe/PTFE.data.csv", "rgl/reference_evaluations.csv"],
+)
+def test_what_can_not_be_read_is_a_typed_error(shared: Path, name: str):
     with pytest.raises(TableError) as caught:
         load_all(shared / "measured" / name)
     assert caught.value.file == name.split("/")[1] if "/" in name else "README.md"

@@ -48,7 +48,9 @@ def in_order(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_formats_that_can_be_written():
-    assert WRITABLE == ["astm", "delimited", "merl", "netcdf", "pab-opto", "parquet", "zemax"]
+    assert WRITABLE == [
+        "astm", "delimited", "mbsdf", "merl", "netcdf", "pab-opto", "parquet", "rgl", "zemax",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["astm", "delimited", "netcdf", "pab-opto", "parquet"])

@@ -1,0 +1,227 @@
+"""Writing RGL tensor files: a table interpolated where the samples of the adaptive parameterisation lie.
+
+Where samples lie is decided by a distribution of normals. Its makers measure it by retro-reflection; here it
+is a mixture of isotropic GGX distributions (B. Walter et al. 2007), the narrowest as wide as the table's own
+lobe, whose projected area is known in closed form. It need not be right: the data make up for what it says
+wrongly, sample by sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.formats.adaptive import Adaptive
+from fitter.formats.output import one_line, unwritable, write_aside
+from fitter.formats.registry import Loss
+from fitter.formats.tensor_file import tensor_bytes
+from fitter.table import Channel, Table
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+#: A field this program adds: 0 for samples that were not measured. Other readers look only for their own.
+MEASURED = "measured"
+#: Nodes of the distributions on each axis, as in the database.
+_NODES = 128
+#: Samples of an incidence on each axis (the database has 32) for up to so many incidences.
+_STEPS = ((100, 64), (10**6, 32))
+#: How many of a table's own angles of incidence there may be, and how far apart nodes may lie (radians).
+_ISOTROPIC, _ANISOTROPIC, _AZIMUTHS = (40, np.deg2rad(7.0)), (10, np.deg2rad(15.0)), (25, np.deg2rad(30.0))
+#: Weights of linear R, G, B in the luminance that renderers draw from, those of the database's files.
+_LUMINANCE = (0.212671, 0.715160, 0.072169)
+#: Widths of the narrowest distribution: a mirror's samples would lie within the rounding of float32; and with
+#: few about the mirror direction, where the mapping is steepest, smooth tables would be off there.
+_NARROWEST, _WIDEST = 0.005, 0.2
+#: So many of the table's samples are compared with what the file says of them.
+_COMPARED = 4000
+
+
+def write_rgl(table: Table, path: Path) -> list[Loss]:
+    """Write ``table`` interpolated at its incidences (or as many as it takes) and some between them.
+
+    Samples outside what was measured hold the interpolant's continuation, for renderers, and are marked in a
+    field of their own, by which this program's reader knows them. Raises TableError for tables of one
+    plane or of few directions, and for channels that are neither one, nor three, nor all of known
+    wavelengths.
+    """
+    order, losses = _channels(table)
+    if table.domain.in_plane:
+        raise unwritable(
+            table, "an RGL file holds the whole hemisphere and the table only the plane of incidence",
+            "use delimited text, or fit a model",
+        )  # fmt: skip
+    index = np.flatnonzero(table.mask)
+    wi, wo = table.directions(index)
+    alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
+    bare = _parameterisation(*_incidences(table, wi), alpha)
+    data, measured, above = _sampled(table, bare)
+    if not measured.any():
+        raise unwritable(
+            table, "the table has too few directions for each incidence to interpolate between them",
+            "use delimited text, or fit a model",
+        )  # fmt: skip
+    adaptive = Adaptive(bare.theta_i, bare.phi_i, bare.ndf, bare.sigma, bare.vndf, data[:, order])
+    losses.append(Loss("resampled", _resampled(table, adaptive, order, measured, above)))
+    write_aside(path, tensor_bytes(_fields(table, adaptive, order, measured, above)))
+    return losses
+
+
+def lobe_width(wi: FloatArray, wo: FloatArray, level: FloatArray) -> float:
+    """GGX's alpha of the lobe that samples (n,) show: from where 4 cos_i cos_o f falls to half its height.
+
+    Of microfacets that product is D F G, D being a function of theta_h alone. Without a lobe alpha is 0.2.
+    """
+    theta_m, _ = directions.spherical_from_vector(wi + wo)
+    product = np.maximum(level, 0.0) * 4 * wi[:, 2] * np.maximum(wo[:, 2], 0.0)
+    place = np.minimum((np.sqrt(theta_m * (2 / np.pi)) * _NODES).astype(np.intp), _NODES - 1)
+    count = np.bincount(place, minlength=_NODES)
+    used = np.flatnonzero(count)
+    mean = np.bincount(place, product, _NODES)[used] / count[used]
+    top, base = float(mean.max()), float(np.median(mean))
+    if len(used) < 3 or top <= 2 * base:
+        return _WIDEST
+    peak = int(mean.argmax())
+    below = np.flatnonzero(mean[peak:] < 0.5 * (top + base))
+    u = (used[peak + int(below[0])] + 0.5) / _NODES
+    half = np.tan(min(u * u, 0.99) * np.pi / 2)
+    # D ~ 1 / (cos^4 (alpha^2 + tan^2)^2) is half its height where tan^2 is about (sqrt(2) - 1) alpha^2.
+    return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), _NARROWEST, _WIDEST))
+
+
+def _channels(table: Table) -> tuple[list[int], list[Loss]]:
+    """Which channel each of the file's is, and what that changes."""
+    count = len(table.channels)
+    wavelengths = [channel.wavelength_nm for channel in table.channels]
+    if all(nm is not None for nm in wavelengths) and len(set(wavelengths)) == count:
+        return sorted(range(count), key=lambda k: wavelengths[k] or 0.0), []
+    if count == 3:
+        return [0, 1, 2], []
+    if count == 1:
+        return [0, 0, 0], [Loss("channels", "The one channel is there three times, as R, G and B.")]
+    raise unwritable(
+        table, f"an RGL file holds RGB or a spectrum, and the table has {count} channels without wavelengths",
+        "use delimited text",
+    )  # fmt: skip
+
+
+def _incidences(table: Table, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Incident angles (T,) and azimuths (P,): the table's own, and some between them."""
+    theta, phi = directions.spherical_from_vector(wi)
+    if table.symmetry == "isotropic":
+        return _nodes(theta, *_ISOTROPIC), np.zeros(1)
+    # Both ends of a whole turn, as in the database.
+    phi = np.concatenate([phi[theta > 1e-3], [-np.pi, np.pi]])
+    return _nodes(theta, *_ANISOTROPIC), _nodes(phi, *_AZIMUTHS)
+
+
+def _nodes(own: FloatArray, most: int, widest: float) -> FloatArray:
+    """Increasing angles as float32 holds them.
+
+    The format interpolates at a fixed place in the lobe, the table otherwise: close nodes keep to the table.
+    """
+    nodes = np.unique(np.round(own, 7))
+    if len(nodes) > most:
+        nodes = np.linspace(float(nodes[0]), float(nodes[-1]), most)
+    between = [
+        np.linspace(low, high, int(np.ceil((high - low) / widest - 1e-6)), endpoint=False)
+        for low, high in pairwise(nodes)
+    ]
+    return np.unique(np.concatenate([*between, nodes[-1:]]).astype(np.float32)).astype(np.float64)
+
+
+def _parameterisation(theta_i: FloatArray, phi_i: FloatArray, alpha: float) -> Adaptive:
+    """Where the samples lie, without their values; everything rounded to float32, as the file holds it."""
+    u = np.linspace(0.0, 1.0, _NODES)
+    theta = u * u * (np.pi / 2)
+    c, s = np.cos(theta), np.sin(theta)
+    # From the lobe's width to that of a hemisphere of facets: the diffuse part needs samples too.
+    widths = [alpha, np.sqrt(alpha), 1.0]
+    ndf = np.mean([a**2 / (np.pi * (c * c * (a**2 - 1) + 1) ** 2) for a in widths], axis=0)
+    # The projected area of the visible microfacets is cos / G1 with Smith's masking.
+    sigma = np.mean([0.5 * (c + np.sqrt(a**2 * s * s + c * c)) for a in widths], axis=0)
+    phi, incidence = np.meshgrid(phi_i, theta_i, indexing="ij")
+    across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))[:, :, None] * s
+    theta = incidence.reshape(-1, 1, 1)
+    # wi . m on (incidence, phi_m, theta_m); the density of m over u has the Jacobian u sin(theta).
+    vndf = ndf * np.maximum(np.sin(theta) * across + np.cos(theta) * c, 0.0) * u * s
+    vndf /= vndf.mean(axis=(1, 2), keepdims=True)
+    both = [np.tile(row, (2, 1)).astype(np.float32) for row in (ndf, sigma)]
+    steps = next(steps for most, steps in _STEPS if incidence.size <= most)
+    empty = np.zeros((incidence.size, 1, steps, steps), np.float32)
+    return Adaptive(theta_i, phi_i, both[0], both[1], vndf.astype(np.float32), empty)
+
+
+def _sampled(table: Table, bare: Adaptive) -> tuple[Float32Array, BoolArray, BoolArray]:
+    """Data (P T, C, N, N), and (P T, N N) which samples were measured and which lie above the horizon."""
+    steps, channels = bare.data.shape[-1], len(table.channels)
+    data = np.zeros((len(bare.vndf), channels, steps, steps), np.float32)
+    measured = np.zeros((len(data), steps * steps), bool)
+    above = np.zeros_like(measured)
+    for node, wi in enumerate(bare.nodes()):
+        wo, factor = bare.samples(node)
+        above[node] = wo[:, 2] > 0
+        # Below the horizon f cos goes on with the other sign, so that it is 0 on it, and not only near it.
+        mirrored = np.concatenate([wo[:, :2], np.abs(wo[:, 2:])], axis=1)
+        value, outside = table.evaluate(np.broadcast_to(wi, wo.shape), mirrored)
+        value = np.where(np.isfinite(value), value, 0.0) * (wo[:, 2:] / factor[:, None])
+        limit = float(np.finfo(np.float32).max)
+        data[node] = np.clip(value, -limit, limit).T.reshape(data.shape[1:])
+        measured[node] = above[node] & ~outside
+    return data, measured, above
+
+
+def _resampled(
+    table: Table, adaptive: Adaptive, order: Sequence[int], measured: BoolArray, above: BoolArray
+) -> str:
+    """What the file says of the table's own samples, in a sentence."""
+    index = np.flatnonzero(table.mask)
+    index = index[np.unique(np.linspace(0, len(index) - 1, _COMPARED).astype(np.intp))]
+    wi, wo = table.directions(index)
+    above_it = wo[:, 2] > 0
+    wi, wo, here = wi[above_it], wo[above_it], table.value[index[above_it]][:, list(order)]
+    there = adaptive.evaluate(wi, wo) / wo[:, 2:]
+    positive = here > 0
+    change = np.abs(there - here)[positive] / here[positive]
+    half, most = np.quantile(change, [0.5, 0.95]) if len(change) else (0.0, 0.0)
+    return (
+        f"{int(measured.sum())} samples were interpolated; {int((above & ~measured).sum())} more lie outside "
+        f"what was measured. The file's function differs from the table's own values by {half:.1%} in the "
+        f"median, by {most:.1%} at most for 95 % of them."
+    )
+
+
+def _fields(
+    table: Table, adaptive: Adaptive, order: Sequence[int], measured: BoolArray, above: BoolArray
+) -> dict[str, NDArray[Any]]:
+    shape, image = (len(adaptive.phi_i), len(adaptive.theta_i)), adaptive.data.shape[-2:]
+    chosen: list[Channel] = [table.channels[k] for k in order]
+    spectral = all(channel.wavelength_nm is not None for channel in chosen) and len(set(order)) == len(order)
+    weights = np.full(len(order), 1 / len(order)) if spectral else np.array(_LUMINANCE)
+    # A renderer scales it to unit integral: it can't be 0 everywhere.
+    luminance = np.maximum(np.einsum("c,tcyx->tyx", weights, adaptive.data), 0.0)
+    luminance += np.maximum(1e-6 * luminance.max(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
+    text = one_line(table.metadata.name) or "without a name"
+    fields: dict[str, NDArray[Any]] = {
+        "version": np.array([1, 0], np.uint32),
+        "description": np.frombuffer(text.encode(), np.uint8),
+        "phi_i": adaptive.phi_i.astype(np.float32),
+        "theta_i": adaptive.theta_i.astype(np.float32),
+        "sigma": adaptive.sigma, "ndf": adaptive.ndf,
+        "vndf": adaptive.vndf.reshape(*shape, _NODES, _NODES),
+        "luminance": luminance.astype(np.float32).reshape(*shape, *image),
+    }  # fmt: skip
+    if spectral:
+        fields["wavelengths"] = np.array([channel.wavelength_nm for channel in chosen], np.float32)
+    fields["spectra" if spectral else "rgb"] = adaptive.data.reshape(*shape, -1, *image)
+    fields["jacobian"] = np.array([1], np.uint8)
+    fields["valid"] = np.packbits(above)
+    fields[MEASURED] = measured.reshape(*shape, *image).astype(np.uint8)
+    return fields

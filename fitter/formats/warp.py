@@ -1,0 +1,158 @@
+"""Bilinear images on the unit square, and the warp whose density such an image is.
+
+An image (H, W) has its samples at the corners of equal cells: x in [0, 1] along the last axis, y along the
+one before. The warp takes the uniform square to a density in two steps: y by its marginal distribution,
+then x by the conditional one at that y. Both densities are piecewise linear, so both distributions are
+piecewise quadratic and are inverted exactly (J. Dupuy, W. Jakob 2018, section 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+#: What a value is blended from: images by number, (M,), and their weights, (M,).
+Blend = Sequence[tuple[IndexArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Corner:
+    """The lower corner of the cell that each of M points lies in, and where in the cell, in [0, 1]."""
+
+    i: IndexArray
+    j: IndexArray
+    x: FloatArray
+    y: FloatArray
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], x: FloatArray, y: FloatArray) -> Corner:
+        """Of points (M,) each on an image of ``shape`` (..., H, W)."""
+        at = x * (shape[-1] - 1), y * (shape[-2] - 1)
+        i = np.clip(at[0].astype(np.intp), 0, shape[-1] - 2)
+        j = np.clip(at[1].astype(np.intp), 0, shape[-2] - 2)
+        return cls(i, j, at[0] - i, at[1] - j)
+
+
+def lookup(image: NDArray[np.floating], x: FloatArray, y: FloatArray) -> FloatArray:
+    """The bilinear image (H, W) at points (M,)."""
+    at = Corner.of(image.shape, x, y)
+    low = (1 - at.x) * image[at.j, at.i] + at.x * image[at.j, at.i + 1]
+    high = (1 - at.x) * image[at.j + 1, at.i] + at.x * image[at.j + 1, at.i + 1]
+    return np.asarray((1 - at.y) * low + at.y * high, np.float64)
+
+
+def lookup_blend(images: NDArray[np.floating], blend: Blend, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Blended values (M, C) of images (K, C, H, W) at points (M,)."""
+    at = Corner.of(images.shape, x, y)
+    total = np.zeros((len(x), images.shape[1]))
+    for node, weight in blend:
+        for j, wy in ((at.j, 1 - at.y), (at.j + 1, at.y)):
+            for i, wx in ((at.i, 1 - at.x), (at.i + 1, at.x)):
+                total += (weight * wy * wx)[:, None] * images[node, :, j, i]
+    return total
+
+
+class Warp:
+    """The warps of K densities, each of which is scaled to unit integral.
+
+    Raises ValueError for a density that has no finite, positive integral.
+    """
+
+    def __init__(self, density: NDArray[np.floating]) -> None:
+        values = np.asarray(density, np.float64)
+        self.shape = values.shape[1:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            marginal = _cumulated(values)[..., -1]
+            total = _cumulated(marginal)[:, -1]
+        if not (np.isfinite(total) & (total > 0)).all():
+            raise ValueError("a density has no finite, positive integral")
+        self._density = values / total[:, None, None]
+        self._along_x = _cumulated(self._density)
+        self._along_y = _cumulated(self._along_x[..., -1])
+
+    def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where in the uniform square the points (M,) come from, for densities blended as ``blend`` says."""
+        height, width = self.shape
+        at = Corner.of(self.shape, x, y)
+
+        def part(j: IndexArray) -> tuple[FloatArray, FloatArray]:
+            """The integral over a row up to x, and over the whole row."""
+            left, right = _mixed(self._density, blend, j, at.i), _mixed(self._density, blend, j, at.i + 1)
+            inside = (left + 0.5 * (right - left) * at.x) * at.x / (width - 1)
+            whole = np.full_like(at.i, width - 1)
+            return _mixed(self._along_x, blend, j, at.i) + inside, _mixed(self._along_x, blend, j, whole)
+
+        (low, low_row), (high, high_row) = part(at.j), part(at.j + 1)
+        below = (low_row + 0.5 * (high_row - low_row) * at.y) * at.y / (height - 1)
+        t = _mixed(self._along_y, blend, at.j) + below
+        mix = _mix(low_row, high_row, at.y)
+        row = (1 - mix) * low_row + mix * high_row
+        # Rows without density have no conditional distribution: nothing is ever mapped there.
+        s = np.where(row > 0, (1 - mix) * low + mix * high, 0.0) / np.where(row > 0, row, 1.0)
+        return np.clip(s, 0.0, 1.0), np.clip(t, 0.0, 1.0)
+
+    def forward(self, node: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The points (M,) that points (s, t) of the uniform square are mapped to by one of the densities.
+
+        Where the distribution stands still, s or t = 1 is mapped to where it first gets to 1.
+        """
+        height, width = self.shape
+        rows = self._along_x[node, :, -1]
+        along = self._along_y[node]
+        level = np.asarray(t * along[-1], np.float64)
+        j = _cell(np.broadcast_to(along, (len(t), height)), level, t >= 1)
+        y = _within(along[j], rows[j], rows[j + 1], level, height)
+        mix = _mix(rows[j], rows[j + 1], y)[:, None]
+        distribution = (1 - mix) * self._along_x[node, j] + mix * self._along_x[node, j + 1]
+        density = (1 - mix) * self._density[node, j] + mix * self._density[node, j + 1]
+        k = np.arange(len(s))
+        wanted = np.asarray(s * distribution[:, -1], np.float64)
+        i = _cell(distribution, wanted, s >= 1)
+        x = _within(distribution[k, i], density[k, i], density[k, i + 1], wanted, width)
+        return (i + x) / (width - 1), (j + y) / (height - 1)
+
+
+def _cumulated(values: FloatArray) -> FloatArray:
+    """Integral of the piecewise linear function along the last axis from 0 up to each node."""
+    steps = 0.5 * (values[..., 1:] + values[..., :-1]) / (values.shape[-1] - 1)
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1)
+
+
+def _mixed(values: FloatArray, blend: Blend, *index: IndexArray) -> FloatArray:
+    total = np.zeros(len(index[0]))
+    for node, weight in blend:
+        total += weight * values[(node, *index)]
+    return total
+
+
+def _mix(low: FloatArray, high: FloatArray, y: FloatArray) -> FloatArray:
+    """The share of the upper row in the conditional distribution at y, whose rows have these integrals.
+
+    On a row without density it is what it is just beside it: that of the other row.
+    """
+    return np.where((1 - y) * low + y * high > 0, y, 0.5)
+
+
+def _cell(distribution: FloatArray, wanted: FloatArray, first: NDArray[np.bool_]) -> IndexArray:
+    """The cell (M,) in which each distribution (M, n) takes the wanted value: the last one, or the first."""
+    reached = (distribution <= wanted[:, None]).sum(axis=1)
+    before = (distribution < wanted[:, None]).sum(axis=1)
+    cell = np.where(first, before, reached) - 1
+    return np.clip(cell, 0, distribution.shape[1] - 2).astype(np.intp)
+
+
+def _within(start: FloatArray, a: FloatArray, b: FloatArray, wanted: FloatArray, nodes: int) -> FloatArray:
+    """Where in its cell the integral of the density from a to b makes up what is wanted, in [0, 1].
+
+    The root of a x + (b - a) x^2 / 2 = r in the form 2 r / (a + sqrt(a^2 + 2 (b - a) r)), which does not
+    cancel where b is close to a.
+    """
+    rest = (wanted - start) * (nodes - 1)
+    below = a + np.sqrt(np.maximum(a * a + 2 * (b - a) * rest, 0.0))
+    return np.clip(2 * rest / np.where(below > 0, below, 1.0), 0.0, 1.0)
