@@ -70,6 +70,7 @@ def _check(table: Table, seed: int) -> Check:
     neighbours = noise.smoothness(measured)
     level = _noise(repeated, neighbours)
     spheres = hemispheres(measured)
+    swapped = pairs.reciprocal_pairs(measured)
     findings = (
         noise.repeatability(repeated),
         noise.smooth(neighbours),
@@ -80,7 +81,8 @@ def _check(table: Table, seed: int) -> Check:
         regions.holes(spheres),
         grazing.grazing(measured, neighbours),
         energy.reflectance(measured, spheres),
-        pairs.reciprocity(measured, level),
+        pairs.reciprocity(measured, swapped, level),
+        pairs.quantity(measured, swapped, level),
         pairs.isotropy(measured, level),
         peaks.convention(measured),
         peaks.lobe_width(measured),
@@ -90,9 +92,12 @@ def _check(table: Table, seed: int) -> Check:
     )
 
 
-def _noise(repeated: noise.Scatter | None, neighbours: noise.Smoothness | None) -> float | None:
-    """Relative noise of one sample: from repeated geometries, else the bound from smoothness."""
+def _noise(repeated: noise.Scatter | None, neighbours: noise.Smoothness | None) -> noise.Noise | None:
+    """Noise of one sample: from repeated geometries, else the bound from smoothness."""
+    floor = float("nan") if neighbours is None else neighbours.floor
+    relative = float("nan") if neighbours is None else neighbours.relative
     if repeated is not None and repeated.degrees >= noise.FEWEST_DEGREES and np.isfinite(repeated.relative):
-        return repeated.relative
-    bound = float("nan") if neighbours is None else neighbours.relative
-    return bound if np.isfinite(bound) else None
+        relative = repeated.relative
+    if not np.isfinite(relative):
+        return None
+    return noise.Noise(relative, floor if np.isfinite(floor) else 0.0)

@@ -13,13 +13,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from fitter import directions
 from fitter.grid import Grid
 from fitter.quality.measured import AT_NORMAL, Measured
 from fitter.sampling.grid import GridInterpolant
-from fitter.sampling.scans import FEWEST, PLANE, Scan
+from fitter.sampling.scans import FEWEST, Scan
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -130,8 +130,8 @@ def _of_scans(measured: Measured) -> list[Hemisphere]:
 
 def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArray) -> Hemisphere:
     points, value = wo[:, :2], measured.value[group][:, measured.channels]
-    if measured.isotropic and not ((points[:, 1] > PLANE).any() and (points[:, 1] < -PLANE).any()):
-        # An isotropic surface is mirror-symmetric: one side of the plane of incidence stands for both.
+    if measured.isotropic:
+        # An isotropic surface is mirror-symmetric: what was seen on one side stands for the other.
         points = np.concatenate([points, points * np.array([1.0, -1.0])])
         value = np.concatenate([value, value])
     middle = wi.mean(axis=0)
@@ -151,7 +151,11 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     lower = area @ scan.value[corners].mean(axis=1)
     least = area @ scan.value[corners].min(axis=1)
     probes = _disk(_PROBES)
-    triangle = scan.triangulation.find_simplex(probes)
+    triangle = np.full(len(probes), -1)
+    # The search for a triangle tries them all for a point outside the hull: keep those from it.
+    edges = ConvexHull(scan.points).equations
+    within = np.flatnonzero((probes @ edges[:, :2].T + edges[:, 2] <= 0).all(axis=1))
+    triangle[within] = scan.triangulation.find_simplex(probes[within])
     inside = (triangle >= 0) & short[triangle]
     tree = KDTree(scan.points)
     _, near = tree.query(probes[~inside], k=_NEAREST)

@@ -35,6 +35,18 @@ _LEVERAGE = 1.5
 
 
 @dataclass(frozen=True)
+class Noise:
+    """Standard deviation (k = 1) of one sample: ``relative`` of its value, and ``floor`` (1/sr) near zero."""
+
+    relative: float
+    floor: float
+
+    def variance(self, value: FloatArray) -> FloatArray:
+        """(1/sr)^2 of samples with these values."""
+        return (self.relative * value) ** 2 + self.floor**2
+
+
+@dataclass(frozen=True)
 class Smoothness:
     """Residuals from what neighbouring samples predict, scaled to the noise of one sample.
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.quality.finding import Finding, counted, degrees, graded, not_judged, percent
-from fitter.quality.measured import AT_NORMAL, Measured
+from fitter.quality.measured import AT_NORMAL, Measured, features
+from fitter.quality.noise import Noise
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -33,11 +34,12 @@ class Compared:
     """Relative differences 2 (a - b) / (|a| + |b|) of samples that should be equal.
 
     rms, largest : over pairs and channels; typical : median of the absolute differences over 0.6745;
-    where : (2, 3) directions of the pair with the largest difference.
+    noise : rms that the noise of two samples explains; where : (2, 3) the pair with the largest difference.
     """
 
     pairs: int
     rms: float
+    noise: float
     typical: float
     largest: float
     where: FloatArray
@@ -45,7 +47,8 @@ class Compared:
     def numbers(self) -> dict[str, Any]:
         theta, phi = directions.spherical_from_vector(self.where)
         return {
-            "pairs": self.pairs, "relative_rms": self.rms, "relative_typical": self.typical,
+            "pairs": self.pairs, "relative_rms": self.rms, "relative_rms_of_noise": self.noise,
+            "relative_rms_beyond_noise": self.beyond, "relative_typical": self.typical,
             "relative_largest": self.largest,
             "largest_at_deg": {
                 "theta_i": float(np.rad2deg(theta[0])), "phi_i": float(np.rad2deg(phi[0])),
@@ -55,79 +58,152 @@ class Compared:
         }  # fmt: skip
 
     @property
+    def beyond(self) -> float:
+        """What of the rms the noise does not explain."""
+        return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)))
+
+    @property
     def place(self) -> str:
         theta, _ = directions.spherical_from_vector(self.where)
         return f"theta_i = {degrees(float(theta[0]))}, theta_o = {degrees(float(theta[1]))}"
 
 
-def compare(measured: Measured, position: IndexArray, partner: IndexArray) -> Compared | None:
-    """Of samples ``position`` in ``measured.rows`` with the rows ``partner`` of the table."""
+def compare(
+    measured: Measured, position: IndexArray, partner: IndexArray, noise: Noise | None, power: float = 0.0
+) -> Compared | None:
+    """Of samples ``position`` in ``measured.rows`` with the rows ``partner`` of the table.
+
+    noise : where the table states no sigma. power : the values are multiplied by cos(theta_o) to it first.
+    """
     if not len(position):
         return None
     one, other = measured.value[position], measured.table.value[partner]
+    sigma = measured.table.sigma
+    if sigma is not None:
+        variance = sigma[measured.rows[position]] ** 2 + sigma[partner] ** 2
+    elif noise is not None:
+        variance = noise.variance(one) + noise.variance(other)
+    else:
+        variance = np.zeros_like(one)
+    if power:
+        # Of the partner theta_o is (nearly) this sample's theta_i.
+        cos = [np.maximum(w[position, 2:], 1e-6) ** power for w in (measured.wo, measured.wi)]
+        one, other, variance = one * cos[0], other * cos[1], variance * cos[0] * cos[1]
     size = 0.5 * (np.abs(one) + np.abs(other))
     usable = size > _NEAR_ZERO * np.where(measured.typical > 0, measured.typical, np.inf)
     if not usable.any():
         return None
     difference = np.where(usable, (one - other) / np.where(usable, size, 1.0), 0.0)
     found = np.abs(difference[usable])
+    explained = variance[usable] / size[usable] ** 2
+    # A stated sigma that is missing or absurd explains nothing; more than a difference of 200 % can't be.
+    explained = np.clip(np.where(np.isfinite(explained), explained, 0.0), 0.0, 4.0)
     at = int(np.argmax(np.abs(difference).max(axis=1)))
     return Compared(
-        len(position), float(np.sqrt(np.mean(found**2))), float(np.median(found)) / 0.6745,
-        float(found.max()), np.stack([measured.wi[position[at]], measured.wo[position[at]]]),
+        len(position), float(np.sqrt(np.mean(found**2))), float(np.sqrt(explained.mean())),
+        float(np.median(found)) / 0.6745, float(found.max()), np.stack([measured.wi[position[at]], measured.wo[position[at]]]),
     )  # fmt: skip
 
 
-def reciprocity(measured: Measured, noise: float | None) -> Finding:
-    """Helmholtz reciprocity f(wi, wo) = f(wo, wi) where both were measured.
+@dataclass(frozen=True)
+class Reciprocal:
+    """Samples ``position`` in ``measured.rows`` and the rows ``partner`` of the table with wi and wo swapped.
 
-    noise : relative standard deviation of one sample; the square of sqrt(2) noise is taken off the rms.
+    built_in : the table's coordinates make both one sample.
     """
-    name = "reciprocity"
+
+    position: IndexArray
+    partner: IndexArray
+    built_in: bool = False
+
+
+def reciprocal_pairs(measured: Measured) -> Reciprocal:
+    """Each pair once; of large tables, the pairs of a subset of the samples."""
     grid = measured.table.grid
+    none = np.zeros(0, np.intp)
     if grid is not None and grid.system == "half_difference":
         period = grid.periodic.get("phi_d")
         if (period is not None and period < 1.5 * np.pi) or np.ptp(grid.axes["phi_d"]) < 1.01 * np.pi:
-            return not_judged(
-                name, "The table holds half a turn of phi_d only, so that reciprocity is built in and can't "
-                "be tested.", pairs=0,
-            )  # fmt: skip
+            return Reciprocal(none, none, built_in=True)
     position = measured.draw(_TARGETS)
+    position = position[measured.wo[position, 2] > 0]
+    if not len(position):
+        return Reciprocal(none, none)
     wi, wo = measured.wi[position], measured.wo[position]
-    possible = wo[:, 2] > 0
-    position, wi, wo = position[possible], wi[possible], wo[possible]
     row, distance = measured.nearest(wo, wi)
     # A sample that is its own partner (theta_i = theta_o of an isotropic surface) tests nothing.
-    own = measured.features[position] - _swapped(measured, wi, wo)
+    own = measured.features[position] - features(wo, wi, isotropic=measured.isotropic)
     good = (distance <= WITHIN) & (np.linalg.norm(own, axis=1) > 2 * WITHIN)
     position, row = position[good], row[good]
-    first = np.sort(np.stack([measured.rows[position], row], axis=1), axis=1)
-    _, once = np.unique(first, axis=0, return_index=True)
-    found = compare(measured, position[once], row[once])
+    both = np.sort(np.stack([measured.rows[position], row], axis=1), axis=1)
+    _, once = np.unique(both, axis=0, return_index=True)
+    return Reciprocal(position[once], row[once])
+
+
+def reciprocity(measured: Measured, pairs: Reciprocal, noise: Noise | None) -> Finding:
+    """Helmholtz reciprocity f(wi, wo) = f(wo, wi) where both were measured."""
+    name = "reciprocity"
+    if pairs.built_in:
+        return not_judged(
+            name, "The table holds half a turn of phi_d only, so that reciprocity is built in and can't be "
+            "tested.", pairs=0,
+        )  # fmt: skip
+    found = compare(measured, pairs.position, pairs.partner, noise)
     if found is None or found.pairs < FEWEST:
         count = 0 if found is None else found.pairs
-        there = "No" if not count else f"Only {count}"
+        there = "No reciprocal pairs" if not count else f"Only {counted(count, 'reciprocal pair', 'reciprocal pairs')}"
         return not_judged(
-            name, f"{there} reciprocal pairs of samples lie within {degrees(WITHIN)} of each other: "
-            "reciprocity can't be judged.", pairs=count,
+            name, f"{there} of samples lie within {degrees(WITHIN)} of each other: reciprocity can't be judged.",
+            pairs=count,
         )  # fmt: skip
-    excess = _excess(found.rms, noise)
     sentence = (
-        f"{counted(found.pairs, 'reciprocal pair differs', 'reciprocal pairs differ')} by "
-        f"{percent(found.rms)} (relative rms), at most by {percent(found.largest)} at {found.place}"
-        f"{_compared_with(noise)}."
+        f"{counted(found.pairs, 'reciprocal pair differs', 'reciprocal pairs differ')} by {percent(found.rms)} "
+        f"(relative rms), at most by {percent(found.largest)} at {found.place}{_compared_with(found)}."
     )
-    numbers = {**found.numbers(), "relative_rms_beyond_noise": excess}
-    return Finding(name, graded(excess, DIFFERENT, VERY_DIFFERENT), sentence, numbers)
+    return Finding(name, graded(found.beyond, DIFFERENT, VERY_DIFFERENT), sentence, found.numbers())
 
 
-def _swapped(measured: Measured, wi: FloatArray, wo: FloatArray) -> FloatArray:
-    from fitter.quality.measured import features
+def quantity(measured: Measured, pairs: Reciprocal, noise: Noise | None) -> Finding:
+    """Whether reciprocal pairs would agree if the file had held the BRDF with the cosine, or without it.
 
-    return features(wo, wi, isotropic=measured.isotropic)
+    Only f_r itself is reciprocal: f_r cos(theta_o) read as f_r breaks reciprocity by cos(theta_i) over
+    cos(theta_o), which no surface does.
+    """
+    name = "quantity"
+    declared = measured.table.metadata.quantity
+    powers = {"brdf": 0.0, "ccbrdf": -1.0} if declared != "ccbrdf" else {"ccbrdf": 0.0, "brdf": 1.0}
+    found = {q: compare(measured, pairs.position, pairs.partner, noise, power) for q, power in powers.items()}
+    as_read, otherwise = found.values()
+    if as_read is None or otherwise is None or as_read.pairs < FEWEST:
+        return not_judged(
+            name, f"Without reciprocal pairs the declared quantity ({declared}) can't be confirmed.",
+            declared=declared, pairs=0 if as_read is None else as_read.pairs,
+        )  # fmt: skip
+    other = list(powers)[1]
+    numbers: dict[str, Any] = {
+        "declared": declared, "pairs": as_read.pairs, "suggested": None,
+        "relative_rms": {declared: as_read.rms, other: otherwise.rms},
+        "relative_typical": {declared: as_read.typical, other: otherwise.typical},
+    }  # fmt: skip
+    better = otherwise.typical < 0.5 * as_read.typical and otherwise.rms < as_read.rms
+    if better and as_read.beyond > DIFFERENT:
+        numbers["suggested"] = other
+        sentence = (
+            f"Reciprocal pairs typically differ by {percent(as_read.typical)} as read ({declared}), but by "
+            f"{percent(otherwise.typical)} if the file holds {other}: the declared quantity is probably wrong."
+        )
+        return Finding(name, "warning", sentence, numbers)
+    worse = as_read.typical < 0.5 * otherwise.typical
+    sentence = (
+        f"Reciprocal pairs agree best with the declared quantity ({declared}; they would differ by "
+        f"{percent(otherwise.typical)} with {other})."
+        if worse
+        else f"Reciprocal pairs do not tell {declared} from {other}."
+    )
+    return Finding(name, "ok", sentence, numbers, judged=worse)
 
 
-def isotropy(measured: Measured, noise: float | None) -> Finding:
+def isotropy(measured: Measured, noise: Noise | None) -> Finding:
     """Samples against those of another incident azimuth that an isotropic surface could not tell from them."""
     name = "isotropy"
     grid = measured.table.grid
@@ -155,18 +231,18 @@ def isotropy(measured: Measured, noise: float | None) -> Finding:
         good = distance <= WITHIN
         positions.append(position[good])
         rows.append(row[good])
-    found = compare(measured, np.concatenate(positions), np.concatenate(rows))
+    found = compare(measured, np.concatenate(positions), np.concatenate(rows), noise)
     numbers: dict[str, Any] = {"azimuths": len(azimuths), "pairs": 0}
     if found is None or found.pairs < FEWEST:
         return not_judged(
             name, f"{len(azimuths)} incident azimuths were measured, but hardly any samples differ by a turn of "
             "the surface only: isotropy can't be judged.", **numbers,
         )  # fmt: skip
-    excess = _excess(found.rms, noise)
-    numbers |= {**found.numbers(), "relative_rms_beyond_noise": excess}
+    excess = found.beyond
+    numbers |= found.numbers()
     said = (
         f"Turning the sample about its normal changes {found.pairs:,} values by {percent(found.rms)} "
-        f"(relative rms over {len(azimuths)} incident azimuths{_compared_with(noise)})"
+        f"(relative rms over {len(azimuths)} incident azimuths{_compared_with(found)})"
     )
     if measured.isotropic:
         verdict = graded(excess, DIFFERENT, VERY_DIFFERENT)
@@ -176,13 +252,8 @@ def isotropy(measured: Measured, noise: float | None) -> Finding:
     return Finding(name, "ok", f"{said}{end}.", numbers)
 
 
-def _excess(rms: float, noise: float | None) -> float:
-    """What of a difference of two samples their noise does not explain."""
-    return float(np.sqrt(max(rms**2 - 2.0 * (noise or 0.0) ** 2, 0.0)))
-
-
-def _compared_with(noise: float | None) -> str:
-    return "" if noise is None else f"; noise alone gives {percent(np.sqrt(2.0) * noise)}"
+def _compared_with(found: Compared) -> str:
+    return f"; noise alone gives {percent(found.noise)}" if found.noise > 0 else ""
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

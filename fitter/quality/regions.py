@@ -114,7 +114,8 @@ def holes(found: Sequence[Hemisphere]) -> Finding:
         return Finding(name, "ok", "There are no holes in the measured region.", numbers)
     worst = max(open_ones, key=lambda one: one.hole)
     theta, phi = directions.spherical_from_vector(worst.hole_at)
-    turn = float(np.mod(phi - worst.phi_i, 2 * np.pi))
+    turn = float(np.mod(phi - worst.phi_i + np.pi, 2 * np.pi) - np.pi)
+    light = float(np.arccos(np.clip(worst.hole_at @ worst.wi, -1.0, 1.0))) < worst.hole
     numbers["largest"] = {
         "theta_i_deg": np.rad2deg(worst.theta_i), "theta_o_deg": np.rad2deg(float(theta)),
         "dphi_deg": np.rad2deg(turn), "radius_deg": np.rad2deg(worst.hole),
@@ -122,8 +123,9 @@ def holes(found: Sequence[Hemisphere]) -> Finding:
     sentence = (
         f"The measured region has holes at {len(open_ones)} of {counted(len(areas), 'incidence', 'incidences')} "
         f"looked at; the largest is {degrees(worst.hole)} in radius, at theta_i = {degrees(worst.theta_i)} around "
-        f"theta_o = {degrees(float(theta))}, dphi = {degrees(turn)}."
-    )
+        + ("the direction towards the light." if light else f"theta_o = {degrees(float(theta))}, dphi = "
+           f"{degrees(turn)}.")
+    )  # fmt: skip
     return Finding(name, "notice", sentence, numbers)
 
 

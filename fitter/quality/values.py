@@ -119,7 +119,7 @@ def fill_values(measured: Measured) -> Finding:
 def _no_fill(zeros: int, n: int) -> str:
     if not zeros:
         return "No fill value or constant floor stands out, and no value is exactly 0."
-    return f"No constant floor stands out; {counted(zeros, 'value', 'values')} of {n:,} are exactly 0."
+    return f"No constant floor stands out; {counted(zeros, 'value is', 'values are')} exactly 0, of {n:,}."
 
 
 def _rounded(value: FloatArray) -> FloatArray:
