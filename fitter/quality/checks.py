@@ -35,7 +35,7 @@ class Check:
     @property
     def verdict(self) -> Verdict:
         """The most serious one."""
-        return max((finding.verdict for finding in self.findings), key=VERDICTS.index)
+        return VERDICTS[max(VERDICTS.index(finding.verdict) for finding in self.findings)]
 
     def __getitem__(self, name: str) -> Finding:
         """The finding of that name."""

@@ -24,10 +24,10 @@ def reflectance(measured: Measured, found: Sequence[Hemisphere]) -> Finding:
     most = max((one.coverage for one in found), default=0.0)
     if not judged:
         if all(one.kind == "line" for one in found) and found:
-            text = "Only the plane of incidence was measured: the directional-hemispherical reflectance can't "
-            text += "be judged."
+            text = "Only the plane of incidence was measured: the directional-hemispherical reflectance "
+            text += "can't be judged."
         else:
-            text = f"At no incidence is half of the cosine-weighted hemisphere measured (at most "
+            text = "At no incidence is half of the cosine-weighted hemisphere measured (at most "
             text += f"{percent(most)}): the directional-hemispherical reflectance can't be judged."
         return not_judged(name, text, largest_coverage=most)
     names = [measured.table.channels[c].name for c in measured.channels]
@@ -39,9 +39,8 @@ def reflectance(measured: Measured, found: Sequence[Hemisphere]) -> Finding:
     place = f"at theta_i = {np.rad2deg(peak.theta_i):.3g}° (channel {names[channel]})"
     least = max(float(one.least.max()) for one in judged)
     verdict: Verdict = "ok"
-    between = (
-        f"{lower:.3g}" if round(upper, 3) <= round(lower, 3) else f"between {lower:.3g} and {upper:.3g}"
-    )
+    ends = f"{lower:.3g}", f"{upper:.3g}"
+    between = ends[0] if ends[0] == ends[1] else f"between {ends[0]} and {ends[1]}"
     if lower > 1.0 + _ROUNDING:
         verdict = "warning" if least > 1.0 + scale + _ROUNDING else "notice"
         sentence = (
@@ -55,7 +54,8 @@ def reflectance(measured: Measured, found: Sequence[Hemisphere]) -> Finding:
             verdict = "notice"
             sentence += ": what was not measured decides whether it exceeds 1"
     numbers: dict[str, Any] = {
-        "incidences": rows, "incidences_above_1": sum(float(one.lower.max()) > 1 + _ROUNDING for one in judged),
+        "incidences": rows,
+        "incidences_above_1": sum(float(one.lower.max()) > 1 + _ROUNDING for one in judged),
         "not_judged": len(found) - len(judged), "largest_lower": lower, "scale_uncertainty_k2": scale,
     }  # fmt: skip
     return Finding(name, verdict, sentence + ".", numbers)

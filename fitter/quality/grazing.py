@@ -55,7 +55,8 @@ def grazing(measured: Measured, found: Smoothness | None) -> Finding:
             continue
         if change < DROP:
             verdict = "warning" if change < COLLAPSE or verdict == "warning" else "notice"
-            said.append(f"towards grazing {what} the values drop to {percent(max(change, 0.0))} of those before")
+            rest = percent(max(change, 0.0))
+            said.append(f"towards grazing {what} the values drop to {rest} of those before")
         elif change > GROWTH:
             verdict = "notice" if verdict == "ok" else verdict
             said.append(f"towards grazing {what} the values grow {change:.3g} times")

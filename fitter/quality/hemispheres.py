@@ -151,18 +151,15 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     lower = area @ scan.value[corners].mean(axis=1)
     least = area @ scan.value[corners].min(axis=1)
     probes = _disk(_PROBES)
-    triangle = np.full(len(probes), -1)
-    # The search for a triangle tries them all for a point outside the hull: keep those from it.
     edges = ConvexHull(scan.points).equations
-    within = np.flatnonzero((probes @ edges[:, :2].T + edges[:, 2] <= 0).all(axis=1))
-    triangle[within] = scan.triangulation.find_simplex(probes[within])
-    inside = (triangle >= 0) & short[triangle]
+    hull = (probes @ edges[:, :2].T + edges[:, 2] <= 0).all(axis=1)
+    inside = hull & ~_within(probes, at[~short])
     tree = KDTree(scan.points)
     _, near = tree.query(probes[~inside], k=_NEAREST)
     missing = max(np.pi - float(area.sum()), 0.0)
     fill = scan.value[np.asarray(near, np.intp)].max(axis=1)
     upper = lower + (missing * fill.mean(axis=0) if len(fill) else 0.0)
-    hole, place, spacing = _largest_hole(_lifted(scan.points), _lifted(probes[triangle >= 0]))
+    hole, place, spacing = _largest_hole(_lifted(scan.points), _lifted(probes[hull]))
     coverage = min(float(area.sum()) / np.pi, 1.0)
     return Hemisphere(middle, "area", coverage, lower, upper, least, hole, place, spacing)
 
@@ -228,6 +225,17 @@ def _gauss(nodes: FloatArray, end: float) -> tuple[FloatArray, FloatArray]:
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     points = np.stack([middle - half / np.sqrt(3.0), middle + half / np.sqrt(3.0)], axis=1)
     return points.reshape(-1), np.repeat(half, 2)
+
+
+def _within(points: FloatArray, triangles: FloatArray) -> BoolArray:
+    """(m,) whether points (m, 2) lie in any of the triangles (t, 3, 2)."""
+    found = np.zeros(len(points), bool)
+    for corners in triangles:
+        away = corners[None, :, :] - points[:, None, :]
+        beside = np.roll(away, -1, axis=1)
+        side = away[..., 0] * beside[..., 1] - away[..., 1] * beside[..., 0]
+        found |= (side >= 0).all(axis=1) | (side <= 0).all(axis=1)
+    return found
 
 
 def _largest_hole(samples: FloatArray, probes: FloatArray) -> tuple[float, FloatArray, float]:

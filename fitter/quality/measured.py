@@ -107,7 +107,8 @@ class Measured:
         alike = self.isotropic if isotropic is None else isotropic
         wanted = features(wi, wo, isotropic=alike)
         if self.table.grid is None:
-            tree = self.tree if alike == self.isotropic else KDTree(features(self.wi, self.wo, isotropic=alike))
+            own = alike == self.isotropic
+            tree = self.tree if own else KDTree(features(self.wi, self.wo, isotropic=alike))
             distance, position = tree.query(wanted)
             return self.rows[np.asarray(position, np.intp)], np.asarray(distance)
         row = self._cell(wi, wo)

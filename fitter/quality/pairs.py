@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.quality.finding import Finding, counted, degrees, graded, not_judged, percent
+from fitter.quality.finding import Finding, degrees, graded, not_judged, percent
 from fitter.quality.measured import AT_NORMAL, Measured, features
-from fitter.quality.noise import Noise
+from fitter.quality.noise import MAD, Noise
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -33,7 +33,7 @@ _TARGETS = 50_000
 class Compared:
     """Relative differences 2 (a - b) / (|a| + |b|) of samples that should be equal.
 
-    rms, largest : over pairs and channels; typical : median of the absolute differences over 0.6745;
+    rms, largest : over pairs and channels; typical : the same from their median;
     noise : rms that the noise of two samples explains; where : (2, 3) the pair with the largest difference.
     """
 
@@ -101,7 +101,8 @@ def compare(
     at = int(np.argmax(np.abs(difference).max(axis=1)))
     return Compared(
         len(position), float(np.sqrt(np.mean(found**2))), float(np.sqrt(explained.mean())),
-        float(np.median(found)) / 0.6745, float(found.max()), np.stack([measured.wi[position[at]], measured.wo[position[at]]]),
+        float(np.median(found)) / MAD, float(found.max()),
+        np.stack([measured.wi[position[at]], measured.wo[position[at]]]),
     )  # fmt: skip
 
 
@@ -151,14 +152,14 @@ def reciprocity(measured: Measured, pairs: Reciprocal, noise: Noise | None) -> F
     found = compare(measured, pairs.position, pairs.partner, noise)
     if found is None or found.pairs < FEWEST:
         count = 0 if found is None else found.pairs
-        there = "No reciprocal pairs" if not count else f"Only {counted(count, 'reciprocal pair', 'reciprocal pairs')}"
+        there = f"Only {count}" if count else "No"
         return not_judged(
-            name, f"{there} of samples lie within {degrees(WITHIN)} of each other: reciprocity can't be judged.",
-            pairs=count,
+            name, f"{there} reciprocal pairs of samples lie within {degrees(WITHIN)} of each other: "
+            "reciprocity can't be judged.", pairs=count,
         )  # fmt: skip
     sentence = (
-        f"{counted(found.pairs, 'reciprocal pair differs', 'reciprocal pairs differ')} by {percent(found.rms)} "
-        f"(relative rms), at most by {percent(found.largest)} at {found.place}{_compared_with(found)}."
+        f"{found.pairs:,} reciprocal pairs differ by {percent(found.rms)} (relative rms), at most "
+        f"by {percent(found.largest)} at {found.place}{_compared_with(found)}."
     )
     return Finding(name, graded(found.beyond, DIFFERENT, VERY_DIFFERENT), sentence, found.numbers())
 
@@ -190,7 +191,8 @@ def quantity(measured: Measured, pairs: Reciprocal, noise: Noise | None) -> Find
         numbers["suggested"] = other
         sentence = (
             f"Reciprocal pairs typically differ by {percent(as_read.typical)} as read ({declared}), but by "
-            f"{percent(otherwise.typical)} if the file holds {other}: the declared quantity is probably wrong."
+            f"{percent(otherwise.typical)} if the file holds {other}: the declared quantity is probably "
+            "wrong."
         )
         return Finding(name, "warning", sentence, numbers)
     worse = as_read.typical < 0.5 * otherwise.typical
@@ -204,7 +206,7 @@ def quantity(measured: Measured, pairs: Reciprocal, noise: Noise | None) -> Find
 
 
 def isotropy(measured: Measured, noise: Noise | None) -> Finding:
-    """Samples against those of another incident azimuth that an isotropic surface could not tell from them."""
+    """Samples against those of another incident azimuth that differ by a turn of the surface only."""
     name = "isotropy"
     grid = measured.table.grid
     tilted = np.flatnonzero(np.hypot(measured.wi[:, 0], measured.wi[:, 1]) > AT_NORMAL)
@@ -212,8 +214,8 @@ def isotropy(measured: Measured, noise: Noise | None) -> Finding:
     azimuths = _distinct(np.mod(phi, 2 * np.pi))
     if len(azimuths) < 2 or (grid is not None and grid.system != "spherical"):
         return not_judged(
-            name, "The sample was measured at one incident azimuth only: whether it is isotropic is not known "
-            "from this table.", azimuths=len(azimuths), pairs=0,
+            name, "The sample was measured at one incident azimuth only: whether it is isotropic is not "
+            "known from this table.", azimuths=len(azimuths), pairs=0,
         )  # fmt: skip
     rng = np.random.default_rng(measured.seed + 2)
     position = tilted[rng.permutation(len(tilted))[: _TARGETS // 2]]
@@ -235,8 +237,8 @@ def isotropy(measured: Measured, noise: Noise | None) -> Finding:
     numbers: dict[str, Any] = {"azimuths": len(azimuths), "pairs": 0}
     if found is None or found.pairs < FEWEST:
         return not_judged(
-            name, f"{len(azimuths)} incident azimuths were measured, but hardly any samples differ by a turn of "
-            "the surface only: isotropy can't be judged.", **numbers,
+            name, f"{len(azimuths)} incident azimuths were measured, but hardly any samples differ by a turn "
+            "of the surface only: isotropy can't be judged.", **numbers,
         )  # fmt: skip
     excess = found.beyond
     numbers |= found.numbers()
@@ -253,7 +255,7 @@ def isotropy(measured: Measured, noise: Noise | None) -> Finding:
 
 
 def _compared_with(found: Compared) -> str:
-    return f"; noise alone gives {percent(found.noise)}" if found.noise > 0 else ""
+    return f"; noise explains up to {percent(found.noise)}" if found.noise > 0 else ""
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

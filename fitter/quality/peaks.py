@@ -49,8 +49,9 @@ def convention(measured: Measured) -> Finding:
     }  # fmt: skip
     clear = [(row, kind) for row, kind in zip(rows, kinds, strict=True) if kind != "none"]
     if not clear or 2 * len(clear) < len(rows):
-        why = "There is no clear peak in the plane of incidence" if rows else "Nothing was measured in the plane"
-        return not_judged(name, f"{why}: the convention of the angles can't be confirmed by one.", **numbers)
+        why = "There is no clear peak" if rows else "Nothing was measured"
+        sentence = f"{why} in the plane of incidence that would confirm the convention of the angles."
+        return not_judged(name, sentence, **numbers)
     count = {kind: sum(k == kind for _, k in clear) for kind in ("specular", "retro", "normal", "elsewhere")}
     most = max(count, key=lambda kind: count[kind])
     of = f"at {count[most]} of {len(clear)} incidences"
@@ -63,21 +64,21 @@ def convention(measured: Measured) -> Finding:
         told = f" ({declared})" if declared else ""
         if not rises:
             sentence = (
-                f"The in-plane peaks sit on the side of the light {of}: a retro-reflector or backward scatter; for "
+                f"The in-plane peaks sit towards the light {of}: a retro-reflector or backward scatter; for "
                 f"an ordinary surface the azimuths would be half a turn off the declared convention{told}."
             )
             return Finding(name, "notice", sentence, numbers)
         numbers["suggested"] = _OTHER.get(declared, "azimuths turned by half a turn")
         sentence = (
-            f"The in-plane peaks sit on the side of the light {of} and rise towards grazing, as mirror reflection "
+            f"The in-plane peaks sit towards the light {of} and rise towards grazing, as mirror reflection "
             f"does: the declared convention{told} is probably half a turn off, try {numbers['suggested']}."
         )
         return Finding(name, "warning", sentence, numbers)
     if most == "normal":
         numbers["suggested"] = "angles counted from the specular direction"
         sentence = (
-            f"The in-plane peaks stay at the normal {of}: the scattering angles are probably counted from the "
-            "specular direction, not from the normal."
+            f"The in-plane peaks stay at the normal {of}: the scattering angles are probably counted from "
+            "the specular direction, not from the normal."
         )
         return Finding(name, "warning", sentence, numbers)
     sentence = f"The in-plane peaks sit neither at the mirror direction nor towards the light {of}."
@@ -110,8 +111,8 @@ def lobe_width(measured: Measured) -> Finding:
     found = [one for one in (_width(theta, value) for theta, value in _profiles(measured)) if one is not None]
     if not found:
         return not_judged(
-            name, "No in-plane lobe falls to half of its maximum on both sides: there is no width to compare with "
-            "the receiver's aperture.", fwhm_deg=None,
+            name, "No in-plane lobe falls to half of its maximum on both sides: there is no width to compare "
+            "with the receiver's aperture.", fwhm_deg=None,
             aperture_deg=None if aperture is None else np.rad2deg(aperture),
         )  # fmt: skip
     width, samples = min(found)
@@ -124,10 +125,8 @@ def lobe_width(measured: Measured) -> Finding:
     coarse = samples is not None and samples < 3
     tail = " and has fewer than three samples across" if coarse else ""
     if aperture is None or aperture <= 0:
-        return Finding(
-            name, "notice" if coarse else "ok", f"{shown}{tail}; the table states no aperture to compare it with.",
-            numbers, judged=coarse,
-        )  # fmt: skip
+        sentence = f"{shown}{tail}; the table states no aperture to compare it with."
+        return Finding(name, "notice" if coarse else "ok", sentence, numbers, judged=coarse)
     ratio = width / aperture
     against = f"{shown}{tail}, {ratio:.2g} times the receiver's aperture of {np.rad2deg(aperture):.3g}°"
     if ratio < NARROW:
@@ -164,7 +163,7 @@ def _profiles(measured: Measured) -> list[tuple[FloatArray, FloatArray]]:
         angle, inverse = np.unique(np.round(signed[mine], 6), return_inverse=True)
         size = np.bincount(inverse.reshape(-1), minlength=len(angle))
         total = np.bincount(inverse.reshape(-1), measured.level[mine], minlength=len(angle))
-        lines.append((angle, total / np.maximum(size, 1)))
+        lines.append((angle.astype(np.float64), np.asarray(total / np.maximum(size, 1))))
     return lines
 
 

@@ -48,8 +48,8 @@ def domain(measured: Measured) -> Finding:
         "specular_side": bool((turn > np.pi / 2).any()), "retro_side": bool((turn < np.pi / 2).any()),
     }  # fmt: skip
     sentence = (
-        f"Measured for theta_i from {degrees(low_i)} to {degrees(high_i)} and theta_o from {degrees(low_o)} to "
-        f"{degrees(high_o)}"
+        f"Measured for theta_i from {degrees(low_i)} to {degrees(high_i)} and theta_o from {degrees(low_o)} "
+        f"to {degrees(high_o)}"
     )
     missing: list[str] = []
     if plane:
@@ -57,10 +57,8 @@ def domain(measured: Measured) -> Finding:
         where = f", on the {sides[0]} side" if len(sides) == 1 else ""
         missing.append(f"in the plane of incidence only{where}")
     elif len(turn) and gap > AZIMUTH_GAP:
-        missing.append(
-            f"nothing between {degrees(float(marks[gap_at]))} and {degrees(float(marks[gap_at + 1]))} of azimuth "
-            "difference"
-        )
+        ends = degrees(float(marks[gap_at])), degrees(float(marks[gap_at + 1]))
+        missing.append(f"nothing between {ends[0]} and {ends[1]} of azimuth difference")
     if high_i < GRAZING:
         missing.append("no grazing incidence")
     if high_o < GRAZING:
@@ -87,7 +85,7 @@ def blind_spots(measured: Measured) -> Finding:
         if 2 * len(missing) > len(rows):
             seen.append(f"the {what} at {len(missing)} of {counted(len(rows), 'incidence', 'incidences')}")
     if not seen:
-        sentence = "The directions towards the light and of mirror reflection were measured at most incidences."
+        sentence = "The directions towards the light and of mirror reflection were measured as a rule."
         return Finding(name, "ok", sentence, numbers)
     sentence = f"Nothing was measured within {degrees(BLIND)} of {' and of '.join(seen)}."
     return Finding(name, "notice", sentence, numbers)
@@ -120,12 +118,12 @@ def holes(found: Sequence[Hemisphere]) -> Finding:
         "theta_i_deg": np.rad2deg(worst.theta_i), "theta_o_deg": np.rad2deg(float(theta)),
         "dphi_deg": np.rad2deg(turn), "radius_deg": np.rad2deg(worst.hole),
     }  # fmt: skip
+    place = f"theta_o = {degrees(float(theta))}, dphi = {degrees(turn)}"
     sentence = (
-        f"The measured region has holes at {len(open_ones)} of {counted(len(areas), 'incidence', 'incidences')} "
-        f"looked at; the largest is {degrees(worst.hole)} in radius, at theta_i = {degrees(worst.theta_i)} around "
-        + ("the direction towards the light." if light else f"theta_o = {degrees(float(theta))}, dphi = "
-           f"{degrees(turn)}.")
-    )  # fmt: skip
+        f"The measured region has holes at {len(open_ones)} of {len(areas)} incidences looked at; the "
+        f"largest is {degrees(worst.hole)} in radius, at theta_i = {degrees(worst.theta_i)} around "
+        f"{'the direction towards the light' if light else place}."
+    )
     return Finding(name, "notice", sentence, numbers)
 
 
