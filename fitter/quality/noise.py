@@ -41,9 +41,9 @@ class Noise:
     relative: float
     floor: float
 
-    def variance(self, value: FloatArray) -> FloatArray:
-        """(1/sr)^2 of samples with these values."""
-        return (self.relative * value) ** 2 + self.floor**2
+    def deviation(self, value: FloatArray) -> FloatArray:
+        """Standard deviation (1/sr) of samples with these values."""
+        return np.hypot(self.relative * value, self.floor)
 
 
 @dataclass(frozen=True)

@@ -80,24 +80,24 @@ def compare(
     one, other = measured.value[position], measured.table.value[partner]
     sigma = measured.table.sigma
     if sigma is not None:
-        variance = sigma[measured.rows[position]] ** 2 + sigma[partner] ** 2
+        deviation = np.hypot(sigma[measured.rows[position]], sigma[partner])
     elif noise is not None:
-        variance = noise.variance(one) + noise.variance(other)
+        deviation = np.hypot(noise.deviation(one), noise.deviation(other))
     else:
-        variance = np.zeros_like(one)
+        deviation = np.zeros_like(one)
     if power:
         # Of the partner theta_o is (nearly) this sample's theta_i.
         cos = [np.maximum(w[position, 2:], 1e-6) ** power for w in (measured.wo, measured.wi)]
-        one, other, variance = one * cos[0], other * cos[1], variance * cos[0] * cos[1]
+        one, other, deviation = one * cos[0], other * cos[1], deviation * np.sqrt(cos[0] * cos[1])
     size = 0.5 * (np.abs(one) + np.abs(other))
     usable = size > _NEAR_ZERO * np.where(measured.typical > 0, measured.typical, np.inf)
     if not usable.any():
         return None
     difference = np.where(usable, (one - other) / np.where(usable, size, 1.0), 0.0)
     found = np.abs(difference[usable])
-    explained = variance[usable] / size[usable] ** 2
-    # A stated sigma that is missing or absurd explains nothing; more than a difference of 200 % can't be.
-    explained = np.clip(np.where(np.isfinite(explained), explained, 0.0), 0.0, 4.0)
+    explained = deviation[usable] / size[usable]
+    # A stated sigma that is missing explains nothing; a difference can't be more than 200 %.
+    explained = np.clip(np.where(np.isfinite(explained), explained, 0.0), 0.0, 2.0) ** 2
     at = int(np.argmax(np.abs(difference).max(axis=1)))
     return Compared(
         len(position), float(np.sqrt(np.mean(found**2))), float(np.sqrt(explained.mean())),

@@ -21,9 +21,9 @@ _SIDE = 1.3
 #: A peak belongs to the mirror or retro direction within this many degrees.
 _NEAR_DEG = 8.0
 #: Incidences (degrees) between which a peak can be told from the normal and from the horizon.
-_FROM_DEG, _TO_DEG = 10.0, 75.0
+_FROM_DEG, _TO_DEG = 10.0, 75.5
 #: Growth of a peak from the steepest to the most grazing incidence that Fresnel reflection explains.
-_RISE = 1.5
+_RISE = 1.2
 #: Peak over the median level of the table: below it there is none to speak of.
 _CONTRAST = 2.0
 #: Lobe width over aperture below which the aperture shows, and below which it is mostly what was measured.
@@ -107,7 +107,7 @@ def _kind(row: dict[str, Any], level: float) -> str:
 def lobe_width(measured: Measured) -> Finding:
     """Full width at half maximum of the narrowest in-plane lobe against the receiver's aperture."""
     name = "lobe_width"
-    aperture = measured.table.metadata.aperture
+    aperture = measured.table.metadata.aperture or None
     found = [one for one in (_width(theta, value) for theta, value in _profiles(measured)) if one is not None]
     if not found:
         return not_judged(
@@ -124,7 +124,7 @@ def lobe_width(measured: Measured) -> Finding:
     shown = f"The narrowest in-plane lobe is {np.rad2deg(width):.3g}° wide (full width at half maximum)"
     coarse = samples is not None and samples < 3
     tail = " and has fewer than three samples across" if coarse else ""
-    if aperture is None or aperture <= 0:
+    if aperture is None:
         sentence = f"{shown}{tail}; the table states no aperture to compare it with."
         return Finding(name, "notice" if coarse else "ok", sentence, numbers, judged=coarse)
     ratio = width / aperture
