@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.quality.finding import Finding, Verdict, degrees, not_judged, percent
 from fitter.quality.measured import Measured
-from fitter.quality.noise import Smoothness, robust
+from fitter.quality.noise import MAD, Smoothness, robust
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -43,7 +43,7 @@ def grazing(measured: Measured, found: Smoothness | None) -> Finding:
     level = measured.level
     change_o = _change(level, theta_i, theta_o)
     change_i = _change(level, theta_o, theta_i)
-    noise, beside = _noise(found, theta_i, theta_o)
+    noise, beside = _noise(measured, found, theta_i, theta_o)
     numbers |= {
         "change_with_theta_o": change_o, "change_with_theta_i": change_i,
         "relative_noise_beyond_80_deg": noise, "relative_noise_62_to_80_deg": beside,
@@ -62,7 +62,8 @@ def grazing(measured: Measured, found: Smoothness | None) -> Finding:
             said.append(f"towards grazing {what} the values grow {change:.3g} times")
     if noise is not None and beside is not None and noise > NOISY and noise > NOISE_RISE * beside:
         verdict = "notice" if verdict == "ok" else verdict
-        said.append(f"the noise (at most) rises from {percent(beside)} to {percent(noise)}")
+        what = "stated sigma" if measured.table.sigma is not None else "scatter among neighbouring samples"
+        said.append(f"the {what} rises from {percent(beside)} to {percent(noise)}")
     if not said:
         sentence = f"The {int(beyond.sum()):,} samples beyond {degrees(GRAZING)} go on from those below."
         return Finding(name, verdict, sentence, numbers)
@@ -87,13 +88,21 @@ def _change(level: FloatArray, fixed: FloatArray, varying: FloatArray) -> float 
 
 
 def _noise(
-    found: Smoothness | None, theta_i: FloatArray, theta_o: FloatArray
+    measured: Measured, found: Smoothness | None, theta_i: FloatArray, theta_o: FloatArray
 ) -> tuple[float | None, float | None]:
-    """Robust relative residuals beyond 80 degrees and in the band below."""
-    if found is None:
+    """Relative noise beyond 80 degrees and in the band below: as stated, else residuals from neighbours."""
+    worst = np.maximum(theta_i, theta_o)
+    sigma = measured.table.sigma
+    if sigma is not None:
+        size = np.abs(measured.value)
+        with np.errstate(over="ignore"):
+            # Scaled as robust() undoes it: a stated sigma is a standard deviation already.
+            ratio = MAD * sigma[measured.rows] / np.where(size > 0, size, np.nan)
+    elif found is not None:
+        worst, ratio = worst[found.position], found.ratio
+    else:
         return None, None
-    worst = np.maximum(theta_i, theta_o)[found.position]
     bands: tuple[BoolArray, BoolArray] = (worst > GRAZING, (worst > BESIDE) & (worst <= GRAZING))
-    noise = [robust(found.ratio[band]) if band.sum() >= _FEWEST else float("nan") for band in bands]
+    noise = [robust(ratio[band]) if band.sum() >= _FEWEST else float("nan") for band in bands]
     beyond, beside = (float(x) if np.isfinite(x) else None for x in noise)
     return beyond, beside

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from fitter import directions
 from fitter.grid import Grid
-from fitter.quality.measured import AT_NORMAL, Measured
+from fitter.quality.measured import Measured
 from fitter.sampling.grid import GridInterpolant
 from fitter.sampling.scans import FEWEST, Scan
 
@@ -25,10 +25,10 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
-#: So many incidences are looked at, spread over those that were measured.
-MOST_INCIDENCES = 12
-#: Incidences closer than this (radians) are one.
-SAME_INCIDENCE = 1e-3
+#: So many incidences of a scattered table, and of a grid, are looked at, spread over those measured.
+MOST_SCANS, MOST_INCIDENCES = 24, 12
+#: Of an incidence so many scattered directions are used, drawn with the seed.
+MOST_DIRECTIONS = 10_000
 #: Sides of triangles longer than this on the unit disk span what was not measured.
 LONG_SIDE = 0.6
 #: Unmeasured directions get the largest value among so many nearest samples.
@@ -97,38 +97,17 @@ def grid_incidences(measured: Measured, grid: Grid) -> FloatArray:
     return directions.vector_from_spherical(mesh[0].reshape(-1), mesh[1].reshape(-1))
 
 
-def incidences(measured: Measured) -> list[IndexArray]:
-    """Positions in ``measured.rows`` of the samples of each incidence of a scattered table, all of them."""
-    wi, _ = measured.turned
-    theta, phi = directions.spherical_from_vector(wi)
-    order = np.argsort(theta, kind="stable")
-    label = np.zeros(len(theta), np.int64)
-    start, ring = 0, 0
-    while start < len(order):
-        end = int(np.searchsorted(theta[order], theta[order[start]] + SAME_INCIDENCE, "right"))
-        label[order[start:end]] = ring
-        start, ring = end, ring + 1
-    if not measured.isotropic:
-        arc = np.where(np.sin(theta) > AT_NORMAL, np.mod(phi + 1e-4, 2 * np.pi) - 1e-4, 0.0)
-        turn = np.round(arc / SAME_INCIDENCE).astype(np.int64)
-        _, label = np.unique(np.stack([label, turn], axis=1), axis=0, return_inverse=True)
-        label = label.reshape(-1)
-    by_label = np.argsort(label, kind="stable")
-    return np.split(by_label, np.flatnonzero(np.diff(label[by_label])) + 1)
-
-
 def _of_scans(measured: Measured) -> list[Hemisphere]:
-    groups = incidences(measured)
     wi, wo = measured.turned
-    size = np.array([len(group) for group in groups])
-    # Scans of few directions beside full ones (a stray sample, a monitor) are not what was measured.
-    full = [group for group in groups if len(group) >= max(3, 0.05 * size.max())]
-    full.sort(key=lambda group: -float(wi[group[0], 2]))
-    chosen = _spread(np.arange(len(full)), MOST_INCIDENCES)
+    full = sorted(measured.scans, key=lambda scan: -float(wi[scan[0], 2]))
+    chosen = _spread(np.arange(len(full)), MOST_SCANS)
     return [_of_scan(measured, wi[full[k]], wo[full[k]], full[k]) for k in chosen]
 
 
 def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArray) -> Hemisphere:
+    if len(group) > MOST_DIRECTIONS:
+        kept = np.random.default_rng(measured.seed).choice(len(group), MOST_DIRECTIONS, replace=False)
+        wi, wo, group = wi[kept], wo[kept], group[kept]
     points, value = wo[:, :2], measured.value[group][:, measured.channels]
     if measured.isotropic:
         # An isotropic surface is mirror-symmetric: what was seen on one side stands for the other.

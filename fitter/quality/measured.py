@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from fitter import directions
 from fitter.table import HORIZON, Table
 
 FloatArray = NDArray[np.float64]
@@ -21,6 +22,10 @@ MOST_CELLS = 200_000
 MOST_CHANNELS = 8
 #: sin(theta) up to which a direction is the normal: an azimuth there means nothing.
 AT_NORMAL = 1e-3
+#: Incidences closer than this (radians) are one.
+SAME_INCIDENCE = 1e-3
+#: An incidence of fewer scattered directions is no scan.
+FEWEST_DIRECTIONS = 5
 _CHUNK = 1 << 18
 
 
@@ -84,6 +89,31 @@ class Measured:
     def features(self) -> FloatArray:
         """(n, 6) the pair as one point; isotropic pairs that are the same up to a turn coincide."""
         return features(self.wi, self.wo, isotropic=self.isotropic)
+
+    @cached_property
+    def scans(self) -> list[IndexArray]:
+        """Positions in ``rows`` of the samples of each incidence of a scattered table, the fullest first.
+
+        Incidences of few directions beside full ones (a stray sample, a monitor) are left out.
+        """
+        wi, _ = self.turned
+        theta, phi = directions.spherical_from_vector(wi)
+        order = np.argsort(theta, kind="stable")
+        ordered = theta[order]
+        label = np.zeros(len(theta), np.int64)
+        start, ring = 0, 0
+        while start < len(order):
+            end = int(np.searchsorted(ordered, ordered[start] + SAME_INCIDENCE, "right"))
+            label[order[start:end]] = ring
+            start, ring = end, ring + 1
+        if not self.isotropic:
+            arc = np.where(np.sin(theta) > AT_NORMAL, np.mod(phi + 1e-4, 2 * np.pi) - 1e-4, 0.0)
+            label = label * 10_000 + np.round(arc / SAME_INCIDENCE).astype(np.int64)
+        by_label = np.argsort(label, kind="stable")
+        _, first, count = np.unique(label[by_label], return_index=True, return_counts=True)
+        full = np.flatnonzero(count >= max(FEWEST_DIRECTIONS, 0.05 * count.max()))
+        full = full[np.argsort(-count[full], kind="stable")]
+        return [by_label[first[k] : first[k] + count[k]] for k in full]
 
     def draw(self, most: int) -> IndexArray:
         """At most ``most`` of ``rows``, as positions in it, drawn with the seed."""

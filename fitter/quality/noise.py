@@ -161,7 +161,7 @@ class Scatter:
 
 def scatter(measured: Measured) -> Scatter | None:
     """Pooled over all geometries that were measured more than once, None where there are none."""
-    if measured.table.grid is not None:
+    if not measured.table.repeats.any():
         return None
     pair = np.concatenate([measured.wi, measured.wo], axis=1)
     key = np.round(pair / SAME_DIRECTION).astype(np.int64)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.formats.describe import in_plane_peaks
 from fitter.quality.finding import Finding, not_judged
-from fitter.quality.hemispheres import incidences
 from fitter.quality.measured import AT_NORMAL, Measured
 from fitter.sampling.grid import GridInterpolant
 
@@ -28,6 +27,7 @@ _RISE = 1.2
 _CONTRAST = 2.0
 #: Lobe width over aperture below which the aperture shows, and below which it is mostly what was measured.
 WIDE, NARROW = 3.0, 1.5
+_MOST_SCANS = 50
 _IN_PLANE = float(np.deg2rad(1.5))
 _FINE = np.deg2rad(np.arange(-89.75, 89.8, 0.25))
 _OTHER = {
@@ -156,10 +156,9 @@ def _profiles(measured: Measured) -> list[tuple[FloatArray, FloatArray]]:
     forward, back = (np.pi - turn < _IN_PLANE), turn < _IN_PLANE
     signed = np.where(back & ~at_normal, -theta_o, theta_o)
     plane = (forward | back | at_normal) & (theta_i < np.deg2rad(_TO_DEG))
-    groups = sorted(incidences(measured), key=len, reverse=True)[:50]
     lines: list[tuple[FloatArray, FloatArray]] = []
-    for group in groups:
-        mine = group[plane[group]]
+    for scan in measured.scans[:_MOST_SCANS]:
+        mine = scan[plane[scan]]
         angle, inverse = np.unique(np.round(signed[mine], 6), return_inverse=True)
         size = np.bincount(inverse.reshape(-1), minlength=len(angle))
         total = np.bincount(inverse.reshape(-1), measured.level[mine], minlength=len(angle))

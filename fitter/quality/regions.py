@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.quality.finding import Finding, counted, degrees, not_judged
-from fitter.quality.hemispheres import Hemisphere, grid_incidences, incidences
+from fitter.quality.hemispheres import Hemisphere, grid_incidences
 from fitter.quality.measured import AT_NORMAL, Measured
 from fitter.sampling.grid import GridInterpolant
 
@@ -26,6 +26,7 @@ HOLE, HOLE_OVER_SPACING = float(np.deg2rad(8.0)), 3.5
 AZIMUTH_GAP = float(np.deg2rad(50.0))
 _RINGS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
 _BLIND_INCIDENCES = 24
+_IN_SCANS = 0.2
 
 
 def domain(measured: Measured) -> Finding:
@@ -72,7 +73,10 @@ def blind_spots(measured: Measured) -> Finding:
     name = "blind_spots"
     pairs = _incidences(measured)
     if not len(pairs):
-        return not_judged(name, "Every incidence is along the normal: mirror and light coincide there.")
+        return not_judged(
+            name, "No incidence away from the normal has several scattered directions: blind spots can't be "
+            "looked for.",
+        )  # fmt: skip
     rows = [{"theta_i_deg": theta, **_distances(measured, wi, rows)} for theta, wi, rows in pairs]
     retro = [row for row in rows if row["retro_deg"] is None or row["retro_deg"] > np.rad2deg(BLIND)]
     mirror = [row for row in rows if row["mirror_deg"] is None or row["mirror_deg"] > np.rad2deg(BLIND)]
@@ -138,10 +142,10 @@ def _incidences(measured: Measured) -> list[tuple[float, FloatArray, NDArray[np.
     if grid is not None:
         found = [(0.0, wi, None) for wi in grid_incidences(measured, grid)]
     else:
-        groups = sorted(incidences(measured), key=len, reverse=True)
-        most = len(groups[0])
-        full = [group for group in groups if len(group) >= max(3, 0.05 * most)][:_BLIND_INCIDENCES]
-        found = [(0.0, _middle(measured.turned[0][group]), group) for group in full]
+        full = measured.scans[:_BLIND_INCIDENCES]
+        if sum(len(scan) for scan in measured.scans) < _IN_SCANS * len(measured.rows):
+            full = []  # hardly two samples have an incidence in common: there are no scans
+        found = [(0.0, _middle(measured.turned[0][scan]), scan) for scan in full]
     away = [(wi, group) for _, wi, group in found if np.hypot(wi[0], wi[1]) > np.sin(2 * BLIND)]
     named = [(float(np.rad2deg(np.arctan2(np.hypot(w[0], w[1]), w[2]))), w, group) for w, group in away]
     return sorted(named, key=lambda item: item[0])
