@@ -77,10 +77,12 @@ def compare(
     """
     if not len(position):
         return None
-    one, other = measured.value[position], measured.table.value[partner]
+    columns = measured.channels[None, :]
+    one, other = measured.value[position[:, None], columns], measured.table.value[partner[:, None], columns]
     sigma = measured.table.sigma
     if sigma is not None:
-        deviation = np.hypot(sigma[measured.rows[position]], sigma[partner])
+        own = measured.rows[position]
+        deviation = np.hypot(sigma[own[:, None], columns], sigma[partner[:, None], columns])
     elif noise is not None:
         deviation = np.hypot(noise.deviation(one), noise.deviation(other))
     else:
@@ -90,7 +92,8 @@ def compare(
         cos = [np.maximum(w[position, 2:], 1e-6) ** power for w in (measured.wo, measured.wi)]
         one, other, deviation = one * cos[0], other * cos[1], deviation * np.sqrt(cos[0] * cos[1])
     size = 0.5 * (np.abs(one) + np.abs(other))
-    usable = size > _NEAR_ZERO * np.where(measured.typical > 0, measured.typical, np.inf)
+    typical = measured.typical[measured.channels]
+    usable = size > _NEAR_ZERO * np.where(typical > 0, typical, np.inf)
     if not usable.any():
         return None
     difference = np.where(usable, (one - other) / np.where(usable, size, 1.0), 0.0)

@@ -21,6 +21,7 @@ REPEATED, OFTEN_REPEATED = 0.005, 0.05
 #: How much more often than the next ones a value has to occur: rounding makes many values repeat alike.
 _STANDS_OUT = 4
 _FEWEST = 5
+_HORIZON = float(np.deg2rad(85.0))
 #: A fill value stands at directions whose cosines spread at least this much, not at one direction's cell.
 _SPREAD = 0.05
 _CHUNK = 1 << 18
@@ -77,11 +78,13 @@ def fill_values(measured: Measured) -> Finding:
     if n < 2 * _FEWEST:
         return not_judged(name, "The samples are too few to tell fill values from measured ones.", samples=n)
     cos_o = _cosines(measured)
+    at_horizon = cos_o < np.cos(_HORIZON)
     rows: list[dict[str, Any]] = []
-    zeros = 0
+    zeros = near_horizon = 0
     for c in measured.channels:
         value = table.value[measured.keep, c]
         zeros = max(zeros, int(np.count_nonzero(value == 0)))
+        near_horizon = max(near_horizon, int(np.count_nonzero(value[at_horizon] == 0)))
         # A floor is constant in what the instrument wrote: f_r times the cosine where the file held that.
         written = value * cos_o if table.metadata.quantity == "ccbrdf" else value
         found = _repeated(_rounded(written), cos_o)
@@ -94,11 +97,16 @@ def fill_values(measured: Measured) -> Finding:
                 }
             )  # fmt: skip
     numbers: dict[str, Any] = {
-        "samples": n, "zeros": zeros, "repeated": rows, "quantity": table.metadata.quantity,
+        "samples": n, "zeros": zeros, "zeros_beyond_85_deg": near_horizon, "repeated": rows,
+        "quantity": table.metadata.quantity,
         "below_the_horizon": int(table.metadata.masked.get("below the horizon", 0)),
     }  # fmt: skip
+    hidden = numbers["below_the_horizon"]
+    below = ""
+    if hidden:
+        below = f"; {counted(hidden, 'sample is', 'samples are')} not above the horizon and left out"
     if not rows:
-        return Finding(name, "ok", _no_fill(zeros, n), numbers)
+        return Finding(name, "ok", f"{_no_fill(zeros, n)}{below}.", numbers)
     worst = max(rows, key=lambda row: row["count"])
     share = float(worst["share"])
     what = {
@@ -112,14 +120,14 @@ def fill_values(measured: Measured) -> Finding:
         "constant": "the table is that of an ideal diffuser, or was made, not measured",
     }[worst["kind"]]  # fmt: skip
     verdict: Verdict = "warning" if share > OFTEN_REPEATED and worst["kind"] != "constant" else "notice"
-    sentence = f"{worst['count']:,} of {n:,} values of channel {worst['channel']} {what}: {why}."
+    sentence = f"{worst['count']:,} of {n:,} values of channel {worst['channel']} {what}: {why}{below}."
     return Finding(name, verdict, sentence, numbers)
 
 
 def _no_fill(zeros: int, n: int) -> str:
     if not zeros:
-        return "No fill value or constant floor stands out, and no value is exactly 0."
-    return f"No constant floor stands out; {counted(zeros, 'value is', 'values are')} exactly 0, of {n:,}."
+        return "No fill value or constant floor stands out, and no value is exactly 0"
+    return f"No constant floor stands out; {counted(zeros, 'value is', 'values are')} exactly 0, of {n:,}"
 
 
 def _rounded(value: FloatArray) -> FloatArray:

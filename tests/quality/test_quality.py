@@ -293,3 +293,14 @@ def test_a_grid_reciprocity_is_judged() -> None:
     assert check(good)["reciprocity"].numbers["relative_rms"] < 1e-9
     assert check(bad)["reciprocity"].verdict == "warning"
     assert not check(merl(0.3))["reciprocity"].judged
+
+
+def test_what_is_not_above_the_horizon_is_counted() -> None:
+    wi, wo = directions()
+    sunk = np.concatenate([wo, vector_from_spherical(np.full(7, 1.7), 0.0)])
+    above = np.concatenate([wi, wi[:7]])
+    value = np.concatenate([glossy(wi, wo), np.zeros(7)])
+    found = check(table(value, wi=above, wo=sunk))["fill_values"]
+    assert found.numbers["below_the_horizon"] == 7
+    assert found.numbers["zeros"] == 0
+    assert "7 samples" in found.sentence

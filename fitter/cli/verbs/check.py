@@ -55,11 +55,13 @@ def _show(found: Check, screen: Screen) -> None:
         samples += f", {found.looked_at:,} of them looked at (seed {found.seed})"
     screen.line(f"{found.name or 'table'}: {samples}")
     screen.line()
+    # A person reads from the top: what is serious first, what could not be judged last.
+    order = {"warning": 0, "notice": 1, "ok": 2, "not judged": 3}
     rows = [
         (f.verdict if f.judged else "not judged", f.name.replace("_", " "), f.sentence)
         for f in found.findings
     ]
-    screen.table(("verdict", "check", "finding"), rows)
+    screen.table(("verdict", "check", "finding"), sorted(rows, key=lambda row: order[row[0]]))
 
 
 VERB = Verb("judge the quality of a measured table before it is fitted", configure, run)
