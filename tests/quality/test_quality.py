@@ -304,3 +304,11 @@ def test_what_is_not_above_the_horizon_is_counted() -> None:
     assert found.numbers["below_the_horizon"] == 7
     assert found.numbers["zeros"] == 0
     assert "7 samples" in found.sentence
+
+
+def test_a_sample_that_is_its_own_partner_tests_no_reciprocity() -> None:
+    wi, wo = directions()
+    equal = np.abs(wi[:, 2] - wo[:, 2]) < 1e-9
+    found = check(table((glossy(wi, wo) * (1 + wi[:, 2]))[equal], wi=wi[equal], wo=wo[equal]))
+    assert not found["reciprocity"].judged
+    assert not found["quantity"].judged
