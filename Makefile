@@ -25,8 +25,9 @@ install: .venv/.installed ## set up .venv
 demo: .venv/.installed ## fit a bundled table with all models and write demo/report.html
 	$(BIN)/brdf-fitter demo --out demo
 
+# Each core has a test process already: more threads of the linear algebra only stand in each other's way.
 test: .venv/.installed ## run the tests
-	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
 
 lint: .venv/.installed ## check style and types
 	$(BIN)/ruff check .

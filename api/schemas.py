@@ -47,6 +47,29 @@ class TableDocument(BaseModel):
     links: dict[str, str]
 
 
+class FindingDocument(BaseModel):
+    """What one quality check found. ``judged`` is false where the table lacks what the check needs."""
+
+    name: str
+    verdict: Literal["ok", "notice", "warning"]
+    judged: bool
+    sentence: str
+    numbers: dict[str, Any] = Field(description="what the sentence rests on; names carry the unit")
+
+
+class CheckDocument(BaseModel):
+    """The quality of a measured table. ``verdict`` is the most serious one of the findings."""
+
+    kind: Literal["brdf-fitter/check"]
+    name: str
+    hash: str
+    verdict: Literal["ok", "notice", "warning"]
+    samples: int = Field(description="measured: finite and above the horizon, negative and repeated ones too")
+    looked_at: int = Field(description="of those, the ones whose directions were used, drawn with the seed")
+    seed: int
+    findings: list[FindingDocument]
+
+
 class SampleRequest(_Request):
     """Directions to draw for one incidence."""
 

@@ -19,15 +19,16 @@ if TYPE_CHECKING:
     from fitter.fitting import FitResult, fit, load_fit
     from fitter.formats import load, load_all, write
     from fitter.posterior import Posterior
+    from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
     from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
     from fitter.table import Channel, Grid, Metadata, Table
 
 __all__ = [
-    "Channel", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid", "Metadata",
-    "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
-    "TableSampler", "__version__", "compress", "fit", "load", "load_all", "load_fit", "models", "posterior",
-    "write",
+    "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
+    "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
+    "TableSampler", "__version__", "check", "compress", "fit", "load", "load_all", "load_fit", "models",
+    "posterior", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -37,6 +38,7 @@ _LAZY = {
     "load": "fitter.formats", "load_all": "fitter.formats",
     "write": "fitter.formats",
     "Posterior": "fitter.posterior",
+    "Check": "fitter.quality", "check": "fitter.quality",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",
     "Channel": "fitter.table", "Grid": "fitter.table", "Metadata": "fitter.table", "Table": "fitter.table",
@@ -44,8 +46,8 @@ _LAZY = {
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
-    "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "report",
-    "sampling", "spec", "table",
+    "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "quality",
+    "report", "sampling", "spec", "table",
 )  # fmt: skip
 
 

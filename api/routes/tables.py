@@ -192,6 +192,16 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
     return respond_samples(request, drawn, _channels(opened.table))
 
 
+@router.get("/{id}/check", response_model=schemas.CheckDocument, responses=problems(404, 422))
+def check(id: str, here: Here, seed: Annotated[int, Query(ge=0, lt=2**63)] = 0) -> Response:
+    """Quality of the table: noise, reciprocity, energy, missing regions, faulty values, conventions.
+
+    Large grids are judged by a subset drawn with `seed`: the same seed gives the same findings.
+    """
+    found = fitter.check(here.tables.open(_row(here, id)).table, seed=seed)
+    return Response(dumps(found.to_dict()), media_type="application/json")
+
+
 @router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
 def slices(
     id: str,

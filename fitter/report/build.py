@@ -10,6 +10,7 @@ import numpy as np
 
 from fitter.errors import SpecError
 from fitter.formats import describe
+from fitter.quality import check
 from fitter.report import convergence, parameters, provenance, reflectance, residuals, slices, verdict
 from fitter.report.clean import clean
 from fitter.report.fitted import Fitted
@@ -66,6 +67,7 @@ def build(
         "posterior": convergence.section(fitted, posterior),
         "cost": {"cost": fit.cost, "evidence": fit.evidence, "table": _reduced(fit.table)},
         "table": _table(fitted),
+        "quality": check(fitted.table).to_dict(),
         "comparison": [_compared(one) for one in (fit, *others)],
         "provenance": provenance.section(fitted, posterior, seed),
         "warnings": list(fit.warnings),

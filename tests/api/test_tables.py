@@ -147,3 +147,11 @@ def test_pickles_are_not_opened(client: Any, table: str) -> None:
         f"/v1/tables/{table}/evaluate", content=body.getvalue(), headers={"content-type": NPY}
     )
     assert answer.json()["code"] == "bad-npy"
+
+
+def test_check_is_the_librarys(client: Any, table: str, same: fitter.Table) -> None:
+    assert client.get(f"/v1/tables/{table}").json()["links"]["check"] == f"/v1/tables/{table}/check"
+    found = client.get(f"/v1/tables/{table}/check?seed=3").json()
+    assert found == fitter.check(same, seed=3).to_dict()
+    assert client.get(f"/v1/tables/{table}/check?seed=-1").status_code == 422
+    assert client.get("/v1/tables/none/check").status_code == 404

@@ -27,6 +27,7 @@ FILES = {
 }  # fmt: skip
 VERBS = {
     "info": (),
+    "check": (),
     "fit": ("--model", "ward"),
     "compress": ("--tolerance", "0.01", "--out", "{out}/small"),
     "sample": ("--theta-i", "30", "-n", "10", "--seed", "1"),

@@ -270,3 +270,31 @@ def test_demo(run: Run, tmp_path: Path) -> None:
     assert document["seconds"]["total"] == pytest.approx(
         sum(seconds for step, seconds in document["seconds"].items() if step != "total"), abs=0.5
     )
+
+
+def test_check(run: Run, plaster: Path) -> None:
+    document = run("check", plaster, "--json").document
+    assert document == fitter.check(fitter.load(plaster)).to_dict()
+    assert document["kind"] == "brdf-fitter/check"
+    text = run("check", plaster).out
+    for finding in document["findings"]:
+        assert finding["sentence"] in text
+    assert "not judged" in text
+
+
+def test_check_of_a_folder(run: Run, tmp_path: Path) -> None:
+    run("datasets", "copy", "diffuse_plaster", "glossy_paint", "--out", tmp_path)
+    document = run("check", tmp_path, "--json").document
+    assert document["kind"] == "brdf-fitter/checks"
+    assert [table["name"] for table in document["checks"]] == ["diffuse_plaster", "glossy_paint"]
+    assert "glossy_paint" in run("check", tmp_path).out
+
+
+def test_a_bad_table_is_a_result(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "white.csv"
+    rows = [f"{i},0,{o},{p},0.4" for i in (0, 45) for o in range(0, 90, 5) for p in range(0, 360, 20)]
+    table.write_text("theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,brdf\n" + "\n".join(rows) + "\n")
+    ran = run("check", table, "--json")
+    assert ran.status == 0
+    assert ran.document["verdict"] == "warning"
+    assert run("check", table, "--seed", "-1").status == 2

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+import html
 import re
 import threading
 from html.parser import HTMLParser
 
 import pytest
 
-from fitter.report import build
+from fitter.quality import check
+from fitter.report import Report, build
 from fitter.report.figures import plain
 from tests.report.conftest import MakeFit, MakePosterior, MakeTable
 
@@ -110,3 +112,15 @@ def test_figure_text_is_plain() -> None:
     assert plain("$x$") == r"\$x\$"
     assert plain("漢\n字") == "???"
     assert len(plain("a" * 100)) == 60
+
+
+def test_the_quality_of_the_table_is_shown(make_table: MakeTable, make_fit: MakeFit) -> None:
+    table = make_table()
+    report = build(table, make_fit(table))
+    findings = report.record["quality"]["findings"]
+    assert [finding["name"] for finding in findings] == [finding.name for finding in check(table).findings]
+    page = html.unescape(report.html())
+    assert all(finding["sentence"] in page for finding in findings)
+    # A record of before there was such a section is still drawn.
+    older = {name: part for name, part in report.record.items() if name != "quality"}
+    assert 'id="quality"' not in Report.from_dict(older).html()

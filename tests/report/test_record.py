@@ -23,7 +23,7 @@ from tests.report.conftest import MakeFit, MakePosterior, MakeTable, strict
 
 SECTIONS = (
     "kind", "version", "created", "title", "fit", "parameters", "correlation", "residuals", "slices",
-    "reflectance", "posterior", "cost", "table", "comparison", "provenance", "warnings", "verdict",
+    "reflectance", "posterior", "cost", "table", "quality", "comparison", "provenance", "warnings", "verdict",
 )  # fmt: skip
 
 

@@ -1,0 +1,8 @@
+"""Quality of a measured table: findings with numbers, a verdict and a sentence each. Nothing is fitted."""
+
+from __future__ import annotations
+
+from fitter.quality.checks import KIND, Check, check
+from fitter.quality.finding import Finding, Verdict
+
+__all__ = ["KIND", "Check", "Finding", "Verdict", "check"]
