@@ -73,7 +73,10 @@ class Coat(NamedTuple):
         one = jnp.ones_like(eta)
         power = refraction.transmittance(c, root / eta, one, eta)
         top = fresnel.dielectric(c, eta) * facets("smith", p, h, normals)
-        return Coat(top, power * (hidden + power * seen), inside)
+        # (1 - G) + T G is 1 - F G: the slopes of 1 - G and G cancel, its digits where F G is about 1.
+        caught = fresnel.dielectric(c, eta) * seen
+        once = jnp.where(caught < 0.5, 1.0 - caught, hidden + power * seen)
+        return Coat(top, power * once, inside)
 
 
 class Layered(composite.Composite):

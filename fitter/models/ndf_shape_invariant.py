@@ -61,9 +61,17 @@ class GGX(NamedTuple):
 
     def scaled_density(self, h: Half) -> Array:
         """D / (alpha_x alpha_y): what is left where D rises as the square of the roughness."""
-        x, y = self.roughness.shortened(h.x, h.y)
+        area, along = self.roughness.area, h.z * h.z
         # H is as small as 1e-6: its squares are divided before they are inverted, or the slope overflows.
-        inverse = (self.roughness.area * h.z * h.z + x * x + y * y) * (1.0 / h.squared)
+        one = 1.0 / h.squared
+        if isinstance(self.roughness, Isotropic):
+            # area cos^2 + sin^2, whose terms have slopes that cancel at a roughness of about 1, with sin^2 by
+            # the form whose own don't.
+            across = h.x * h.x + h.y * h.y
+            inverse = area + (1.0 - area) * jnp.where(across < along, across * one, 1.0 - along * one)
+        else:
+            x, y = self.roughness.shortened(h.x, h.y)
+            inverse = (area * along + x * x + y * y) * one
         return 1.0 / (math.pi * inverse * inverse)
 
     def scaled(self, p: Pair) -> tuple[GGX, Pair]:

@@ -52,10 +52,6 @@ class Isotropic(NamedTuple):
         """The components of :meth:`projected` in units of the mean roughness sqrt(alpha_x alpha_y)."""
         return x, y
 
-    def shortened(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Slopes, as :meth:`slope2` measures them, in units of the mean roughness."""
-        return x, y
-
     def stretch(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Slopes of the unit roughness as those of this one."""
         return self.alpha * x, self.alpha * y
@@ -95,6 +91,7 @@ class Anisotropic(NamedTuple):
         return ratio * x, y / ratio
 
     def shortened(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Slopes, as :meth:`slope2` measures them, in units of the mean roughness."""
         ratio = jnp.sqrt(self.alpha_x / self.alpha_y)
         x, y = self.turned(x, y)
         return x / ratio, ratio * y
