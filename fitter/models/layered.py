@@ -55,23 +55,26 @@ class Coat(NamedTuple):
     def of(normals: NDF, eta: Array, p: Pair) -> Coat:
         h = Half.of(p)
         c = fresnel.facet_cosine(h)
-        contrast = (eta - 1.0) * (eta + 1.0)
-        root = jnp.sqrt(contrast + c * c)
+        dx, dy, dz = (0.5 * (i - o) for i, o in ((p.ix, p.ox), (p.iy, p.oy), (p.iz, p.oz)))
+        one = jnp.ones_like(eta)
+        behind, _ = refraction.refracted_cosine(c, dx * dx + dy * dy + dz * dz, one, eta)
+        root = eta * behind
         own = (root + c) / (2.0 * eta * c)
-        other = contrast / (2.0 * eta * c * (root + c))
-        # Sideways these sums cancel at opposed grazing: there c' h + (wi - wo)/(2n) is the exact one.
-        along = 0.5 * root / (eta * c)
-        dx, dy = 0.5 * (p.ix - p.ox) / eta, 0.5 * (p.iy - p.oy) / eta
+        other = (eta - 1.0) * (eta + 1.0) / (2.0 * eta * c * (root + c))
+        # c' h + (wi - wo)/(2n): sideways the sums above cancel at opposed grazing, and upwards their slopes
+        # do between directions of like heights; of unlike ones this does.
+        along = 0.5 * behind / c
+        dx, dy, dz = dx / eta, dy / eta, dz / eta
+        like = jnp.abs(p.iz - p.oz) < 0.5 * h.z
         inside = Pair(
-            along * h.x + dx, along * h.y + dy, own * p.iz + other * p.oz,
-            along * h.x - dx, along * h.y - dy, other * p.iz + own * p.oz,
+            along * h.x + dx, along * h.y + dy, jnp.where(like, along * h.z + dz, own * p.iz + other * p.oz),
+            along * h.x - dx, along * h.y - dy, jnp.where(like, along * h.z - dz, other * p.iz + own * p.oz),
         )  # fmt: skip
         # G and 1 - G, each without a difference.
         shadowed = p.oz * normals.lambda_cos(p.ix, p.iy, p.iz) + p.iz * normals.lambda_cos(p.ox, p.oy, p.oz)
         whole = p.iz * p.oz + shadowed
         seen, hidden = p.iz * p.oz / whole, shadowed / whole
-        one = jnp.ones_like(eta)
-        power = refraction.transmittance(c, root / eta, one, eta)
+        power = refraction.transmittance(c, behind, one, eta)
         top = fresnel.dielectric(c, eta) * facets("smith", p, h, normals)
         # (1 - G) + T G is 1 - F G: the slopes of 1 - G and G cancel, its digits where F G is about 1.
         caught = fresnel.dielectric(c, eta) * seen

@@ -69,7 +69,7 @@ Found = tuple[dict[str, Any], list[dict[str, Any]]]
 
 def _density(spec: ModelSpec, share: float, rng: np.random.Generator) -> Found:
     worst, violations = 0.0, list[dict[str, Any]]()
-    # Few bins: the rules find the lobes by themselves from there. Behind a surface the density ends at a jump,
+    # Few bins: the rules find the lobes by themselves from there. Behind a surface the density has a jump,
     # which coarse bins may estimate too well.
     sphere = models.family_of(spec).transmits(spec)
     theta, phi = cells.edges(90, 90, sphere) if sphere else cells.edges(18, 24)
