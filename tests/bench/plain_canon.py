@@ -54,7 +54,8 @@ def ward_anisotropic(
     """G. Ward 1992 with the half vector in the frame of the brushing."""
     cos_i, cos_o, _, _, above = cosines(wi, wo)
     h = wi + wo
-    x, y = math.cos(psi) * h[:, 0] + math.sin(psi) * h[:, 1], math.cos(psi) * h[:, 1] - math.sin(psi) * h[:, 0]
+    c, s = math.cos(psi), math.sin(psi)
+    x, y = c * h[:, 0] + s * h[:, 1], c * h[:, 1] - s * h[:, 0]
     e = np.exp(-((x / alpha_x) ** 2 + (y / alpha_y) ** 2) / h[:, 2] ** 2)
     lobe = e / (4 * np.pi * alpha_x * alpha_y * np.sqrt(cos_i * cos_o))
     return total(above, kd, lobe[:, None] * ks)
@@ -142,7 +143,8 @@ def ashikhmin_shirley(wi: Array, wo: Array, rd: Array, rs: Array, nu: float, nv:
     cos_i, cos_o, cos_h, cos_d, above = cosines(wi, wo)
     h = wi + wo
     h = h / np.linalg.norm(h, axis=1, keepdims=True)
-    x, y = math.cos(psi) * h[:, 0] + math.sin(psi) * h[:, 1], math.cos(psi) * h[:, 1] - math.sin(psi) * h[:, 0]
+    c, s = math.cos(psi), math.sin(psi)
+    x, y = c * h[:, 0] + s * h[:, 1], c * h[:, 1] - s * h[:, 0]
     power = (nu * x**2 + nv * y**2) / (1.0 - cos_h**2)
     lobe = math.sqrt((nu + 1) * (nv + 1)) / (8 * np.pi) * cos_h**power / (cos_d * np.maximum(cos_i, cos_o))
     flat = (1 - (1 - cos_i / 2) ** 5) * (1 - (1 - cos_o / 2) ** 5) * 28 / (23 * np.pi)
