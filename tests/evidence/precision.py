@@ -13,7 +13,7 @@ right.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -170,12 +170,16 @@ def _values(points: Points, dtype: str) -> tuple[float, list[dict[str, Any]]]:
 
 def _beside(points: Points, k: int, expected: mpf, eps: float) -> tuple[mpf, mpf]:
     """The least and the largest value at inputs within 8 eps: more than a smooth change only at a jump."""
-    rng, x = np.random.default_rng(0), points.exact(k)
-    found = [expected]
-    for _ in range(24):
-        shifts = rng.uniform(-8, 8, len(x)) * eps
-        found.append(points.function([v * (1 + float(s)) for v, s in zip(x, shifts, strict=True)]))
+    found = [expected, *(points.function(x) for x in _nearby(points.exact(k), eps, 24))]
     return min(found), max(found)
+
+
+def _nearby(x: Sequence[mpf], eps: float, count: int) -> Iterator[list[mpf]]:
+    """Inputs within 8 eps of x, the same ones each time."""
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        shifts = rng.uniform(-8, 8, len(x)) * eps
+        yield [v * (1 + float(s)) for v, s in zip(x, shifts, strict=True)]
 
 
 def _ratio(got: float, low: mpf, high: mpf, bound: mpf) -> float:
@@ -303,12 +307,10 @@ def _tangential(
 
 def _around(points: Points, x: Sequence[mpf], expected: Gradient) -> Gradient:
     """The same with the derivatives on both sides of a kink that lies within 8 eps of the inputs."""
-    rng = np.random.default_rng(0)
     low, high = list(expected.low), list(expected.high)
     bounds = _bounds(expected, x, points.names, points.gradient_bound)
-    for _ in range(12):
-        shifts = rng.uniform(-8, 8, len(x)) * np.finfo(np.float64).eps
-        _, below, above = sides(points.function, [v * (1 + float(s)) for v, s in zip(x, shifts, strict=True)])
+    for near in _nearby(x, float(np.finfo(np.float64).eps), 12):
+        _, below, above = sides(points.function, near)
         for j in range(len(x)):
             # Further than any smooth change: a kink lies between.
             if max(above[j] - low[j], high[j] - below[j]) > 4 * bounds[j]:
