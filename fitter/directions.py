@@ -76,6 +76,12 @@ def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, 
     return theta_h, phi_h, np.asarray(theta_d), np.asarray(np.arctan2(y, x))
 
 
+def turned(w: Vectors, cosine: Angles, sine: Angles) -> Vectors:
+    """``w`` (n, 3) turned about the normal by angles of these cosines and sines (n,)."""
+    x, y = w[:, 0], w[:, 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, w[:, 2]], axis=1)
+
+
 def mirror(w: ArrayLike) -> Vectors:
     """Ideal specular direction of ``w`` (..., 3): (-x, -y, z)."""
     return np.asarray(w, np.float64) * np.array([-1.0, -1.0, 1.0])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter import directions
 from fitter.errors import FitError, SpecError
 from fitter.fitting import metrics
 from fitter.spec import Metric, Select
@@ -187,11 +188,7 @@ def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pairs (n, 3) turned about the normal, each by the golden section of a turn more than the one before."""
     angle = 2 * np.pi * np.mod(np.arange(len(wi)) * (0.5 * (np.sqrt(5.0) - 1.0)), 1.0)
     c, s = np.cos(angle), np.sin(angle)
-
-    def turn(w: FloatArray) -> FloatArray:
-        return np.stack([c * w[:, 0] - s * w[:, 1], s * w[:, 0] + c * w[:, 1], w[:, 2]], axis=1)
-
-    return turn(wi), turn(wo)
+    return directions.turned(wi, c, s), directions.turned(wo, c, s)
 
 
 def _scale(column: FloatArray) -> float:

@@ -185,11 +185,7 @@ def turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     safe = np.where(length > 0, length, 1.0)
     c = np.where(length > 0, lead[:, 0] / safe, 1.0)
     s = np.where(length > 0, lead[:, 1] / safe, 0.0)
-
-    def turn(w: FloatArray) -> FloatArray:
-        return np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1)
-
-    return turn(wi), turn(wo)
+    return directions.turned(wi, c, -s), directions.turned(wo, c, -s)
 
 
 def features(wi: FloatArray, wo: FloatArray, *, isotropic: bool) -> FloatArray:

@@ -230,9 +230,11 @@ def isotropy(measured: Measured, noise: Noise | None) -> Finding:
         nearest = np.argmin(np.abs(_wrapped(azimuths[None, :] - own[:, None])), axis=1)
         other = (nearest + rng.integers(1, len(azimuths), len(position))) % len(azimuths)
         turn = azimuths[other] - azimuths[nearest]
+        c, s = np.cos(turn), np.sin(turn)
         row, distance = measured.nearest(
-            _turn(measured.wi[position], turn), _turn(measured.wo[position], turn), isotropic=False
-        )
+            directions.turned(measured.wi[position], c, s), directions.turned(measured.wo[position], c, s),
+            isotropic=False,
+        )  # fmt: skip
         good = distance <= WITHIN
         positions.append(position[good])
         rows.append(row[good])
@@ -272,9 +274,3 @@ def _distinct(phi: FloatArray) -> FloatArray:
     found = np.unique(np.round(phi / SAME_AZIMUTH))
     turn = round(2 * np.pi / SAME_AZIMUTH)
     return np.unique(np.mod(found, turn)) * SAME_AZIMUTH
-
-
-def _turn(w: FloatArray, by: FloatArray) -> FloatArray:
-    """Directions (n, 3) turned about the normal by angles (n,)."""
-    c, s = np.cos(by), np.sin(by)
-    return np.stack([c * w[:, 0] - s * w[:, 1], s * w[:, 0] + c * w[:, 1], w[:, 2]], axis=1)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import permutations
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -246,7 +246,4 @@ def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     safe = np.where(length > 0, length, 1.0)
     c = np.where(length > 0, wi[:, 0] / safe, 1.0)
     s = np.where(length > 0, wi[:, 1] / safe, 0.0)
-    turned = [
-        np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in (wi, wo)
-    ]
-    return cast("tuple[FloatArray, FloatArray]", tuple(turned))
+    return directions.turned(wi, c, -s), directions.turned(wo, c, -s)
