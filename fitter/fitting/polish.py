@@ -10,7 +10,6 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -18,20 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
+from fitter.fitting.least_squares import MAX_PASSES, Solution, solve
 from fitter.fitting.samples import Block
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 CHUNK = 2_048
-#: Passes stop when the objective can fall by less than this many units of its value per degree of
-#: freedom: 1e-6 is a thousandth of a standard error.
-TOLERANCE = 1e-6
-MAX_PASSES = 60
 
 
 class Normal(NamedTuple):
@@ -198,67 +193,20 @@ def support(
     return second**2 / np.maximum(fourth, 1e-300)
 
 
-@dataclass(frozen=True)
-class Polished:
-    """The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met."""
-
-    p: FloatArray
-    normal: Normal
-    passes: int
-    converged: bool
+#: The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met.
+Polished = Solution[Normal]
 
 
 def polish(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
     max_passes: int = MAX_PASSES,
 ) -> Polished:  # fmt: skip
-    """Levenberg-Marquardt on p = [u, inner] with bounds kept by an active set in every step.
-
-    The part of the Hessian that Gauss-Newton leaves out is learned from the gradients (Dennis, Gay and
-    Welsch 1981, NL2SOL): without it a model that fits badly takes fifty passes instead of eight. A step
-    is taken only if the objective falls, whatever approximation made it.
-    """
+    """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`."""
     lower, upper = bounds(layout, len(p))
-    p = np.clip(p, lower, upper)
-    now = normal_equations(layout, metric, floor, p, blocks)
     freedom = max(1, sum(block.count for block in blocks) * blocks[0].y.shape[1] - len(p))
-    damping, passes = 0.0, 1
-    rest = np.zeros_like(now.matrix)
-    while passes < max_passes:
-        step, predicted = _step(now.matrix + rest, now.rhs, p, lower, upper, damping)
-        if predicted <= TOLERANCE * now.objective / freedom:
-            return Polished(p, now, passes, True)
-        trial = np.clip(p + step, lower, upper)
-        then = normal_equations(layout, metric, floor, trial, blocks)
-        passes += 1
-        if np.isfinite(then.objective) and then.objective < now.objective:
-            rest = _second_order(rest, now, then, trial - p)
-            p, now = trial, then
-            damping = 0.0 if damping < 1e-6 else damping / 10
-        elif np.max(np.abs(step) / (np.abs(p) + 1e-12)) < 1e-13:
-            # The step is rounding: the objective is flat to the last digit.
-            return Polished(p, now, passes, True)
-        else:
-            rest = np.zeros_like(rest)
-            damping = max(damping * 10, 1e-4)
-            if damping > 1e12:
-                return Polished(p, now, passes, False)
-    return Polished(p, now, passes, False)
-
-
-def _second_order(rest: FloatArray, before: Normal, after: Normal, step: FloatArray) -> FloatArray:
-    """NL2SOL's update of the second-order part S so that (J^T J + S) step matches the gradients' change."""
-    change = before.rhs - after.rhs  # of the half gradient, which is -rhs
-    along = float(change @ step)
-    if along <= 0:
-        return np.zeros_like(rest)
-    wanted = change - after.matrix @ step
-    have = float(step @ rest @ step)
-    # Sizing: S must not outlive the residuals it was learned from.
-    sized = rest * min(1.0, abs(float(step @ wanted)) / abs(have)) if have != 0 else rest
-    missing = wanted - sized @ step
-    outer = np.outer(missing, change) / along
-    return sized + outer + outer.T - float(missing @ step) / along**2 * np.outer(change, change)
+    return solve(
+        lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper, freedom, max_passes
+    )
 
 
 def bounds(layout: Layout, size: int) -> tuple[FloatArray, FloatArray]:
@@ -269,26 +217,3 @@ def bounds(layout: Layout, size: int) -> tuple[FloatArray, FloatArray]:
         return np.concatenate([low, np.zeros(rest)]), np.concatenate([high, np.full(rest, np.inf)])
     sides = [np.repeat(side, rest // len(side)) for side in layout.inner_box]
     return np.concatenate([low, sides[0]]), np.concatenate([high, sides[1]])
-
-
-def _step(
-    matrix: FloatArray, rhs: FloatArray, p: FloatArray, lower: FloatArray, upper: FloatArray, damping: float
-) -> tuple[FloatArray, float]:
-    """The bounded damped step of the quadratic model and by how much the objective falls along it."""
-    diagonal = np.diagonal(matrix)
-    # A parameter that moves nothing (the roughness of a lobe of no strength) has no curvature.
-    scale = np.sqrt(np.where(diagonal > 1e-200, diagonal, 1.0))
-    g = matrix / np.outer(scale, scale)
-    r = rhs / scale
-    # min d.g.d/2 - r.d as least squares on the eigenvectors of g, which survives a singular g.
-    values, vectors = np.linalg.eigh(g)
-    root = np.sqrt(np.maximum(values, 1e-14) + damping)
-    a = root[:, None] * vectors.T
-    target = (vectors.T @ r) / root
-    room = (np.minimum((lower - p) * scale, 0.0), np.maximum((upper - p) * scale, 0.0))
-    free = room[1] - room[0] > 0
-    d = np.zeros_like(p)
-    if free.any():
-        found = lsq_linear(a[:, free], target, bounds=(room[0][free], room[1][free]), method="bvls")
-        d[free] = found.x
-    return d / scale, float(2.0 * r @ d - np.square(np.sqrt(np.maximum(values, 0.0)) * (vectors.T @ d)).sum())
