@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 Vectors = Float[np.ndarray, "*n 3"]
 Angles = Float[np.ndarray, "*n"]
@@ -17,9 +17,14 @@ Angles = Float[np.ndarray, "*n"]
 
 def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
     """Unit vector at polar angle ``theta`` from the normal and azimuth ``phi`` from +x (radians)."""
-    theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
-    sin_theta = np.sin(theta)
-    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
+    return np.stack(np.broadcast_arrays(*spherical_components(theta, phi)), axis=-1)
+
+
+def spherical_components(theta: ArrayLike, phi: ArrayLike) -> tuple[Angles, Angles, Angles]:
+    """The components of :func:`vector_from_spherical`, each of a shape that broadcasts to the angles'."""
+    theta, phi = np.asarray(theta, np.float64), np.asarray(phi, np.float64)
+    sine = np.sin(theta)
+    return np.asarray(sine * np.cos(phi)), np.asarray(sine * np.sin(phi)), np.asarray(np.cos(theta))
 
 
 def spherical_from_vector(w: ArrayLike) -> tuple[Angles, Angles]:
@@ -40,21 +45,29 @@ def vectors_from_half_difference(
     ``wi`` is the difference vector (theta_d, phi_d) turned by theta_h about +y, then by phi_h about +z;
     ``wo`` its mirror image in the half vector.
     """
-    theta_h, theta_d, phi_d, phi_h = np.broadcast_arrays(
-        *(np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
-    )
+    parts = half_difference_components(theta_h, theta_d, phi_d, phi_h)
+    wide = np.broadcast_arrays(*parts)
+    return np.stack(wide[:3], axis=-1), np.stack(wide[3:], axis=-1)
+
+
+def half_difference_components(
+    theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0
+) -> tuple[Angles, ...]:
+    """The six components of :func:`vectors_from_half_difference`, each of a shape that broadcasts to the
+    angles': sines and cosines are those of the angles as given."""
+    theta_h, theta_d, phi_d, phi_h = (np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
     sin_h, cos_h = np.sin(theta_h), np.cos(theta_h)
     sin_d, cos_d = np.sin(theta_d), np.cos(theta_d)
-    dx, dy = sin_d * np.cos(phi_d), sin_d * np.sin(phi_d)
+    x, y = sin_d * np.cos(phi_d), sin_d * np.sin(phi_d)
     turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
-
-    def place(x: NDArray[np.float64], y: NDArray[np.float64]) -> Vectors:
-        along = cos_h * x + sin_h * cos_d
-        return np.stack(
-            [turn_x * along - turn_y * y, turn_y * along + turn_x * y, cos_h * cos_d - sin_h * x], axis=-1
-        )
-
-    return place(dx, dy), place(-dx, -dy)
+    found: list[Angles] = []
+    for side in (1.0, -1.0):
+        along, across = side * cos_h * x + sin_h * cos_d, side * y
+        found += [
+            np.asarray(turn_x * along - turn_y * across), np.asarray(turn_y * along + turn_x * across),
+            np.asarray(cos_h * cos_d - side * sin_h * x),
+        ]  # fmt: skip
+    return tuple(found)
 
 
 def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, Angles, Angles, Angles]:

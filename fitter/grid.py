@@ -56,6 +56,28 @@ class Grid:
         where = np.unravel_index(index, self.shape)
         return tuple(axis[i] for axis, i in zip(self.axes.values(), where, strict=True))
 
+    def row_components(self, start: int, stop: int, out: FloatArray) -> None:
+        """The components of wi and wo of the cells start..stop, whole rows of the last axis, into ``out``
+        (6, stop - start)."""
+        *outer, last = self.axes.values()
+        width = len(last)
+        if start % width or stop % width:
+            raise ValueError(f"cells {start} to {stop} are not whole rows of {width}")
+        where = np.unravel_index(np.arange(start // width, stop // width), self.shape[:-1])
+        c = [*(axis[i][:, None] for axis, i in zip(outer, where, strict=True)), last[None, :]]
+        if self.system == "half_difference":
+            parts = directions.half_difference_components(c[0], c[1], c[2])
+        elif self.system == "spherical_isotropic":
+            parts = (
+                *directions.spherical_components(c[0], 0.0), *directions.spherical_components(c[1], c[2])
+            )  # fmt: skip
+        else:
+            parts = (
+                *directions.spherical_components(c[0], c[1]), *directions.spherical_components(c[2], c[3])
+            )  # fmt: skip
+        for row, part in zip(out, parts, strict=True):
+            row.reshape(-1, width)[...] = part
+
     def directions(self, index: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray]:
         """``(wi, wo)``, each (n, 3), of the cells ``index`` (default all, in storage order)."""
         c = self.coordinates(index)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.errors import TableError
 from fitter.grid import Grid
+from fitter.summary import Summary, summarise
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -304,6 +305,11 @@ class Table:
             incidences=len(np.unique(key)),
             in_plane=bool(out_of_plane.max() < 1e-3),
         )
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Of the usable values, channel by channel."""
+        return summarise(self.value, self.mask)
 
     @cached_property
     def hash(self) -> str:

@@ -125,6 +125,6 @@ def _block(pair: FloatArray, y: FloatArray, weight: FloatArray) -> Block:
     missing = -len(y) % CHUNK
     y, weight = (np.pad(np.asarray(a), ((0, missing), (0, 0))) for a in (y, weight))
     return Block(
-        pair=np.pad(np.asarray(pair), ((0, 0), (0, missing)), mode="edge"), y=y, goal=weight * y,
+        pair=np.pad(np.asarray(pair), ((0, 0), (0, missing)), mode="edge"), y=y, goal=y,
         weight=weight, count=len(y),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import azimuths
-from fitter.fitting.polish import Normal, bounds
+from fitter.fitting.polish import Normal, Scores, bounds
 
 FloatArray = NDArray[np.float64]
 #: A direction whose scaled curvature is below this share of the largest is not identified.
@@ -49,12 +49,12 @@ class Natural:
 
 
 def natural(
-    layout: Layout, p: FloatArray, normal: Normal, support: FloatArray, channels: Sequence[int], samples: int,
+    layout: Layout, p: FloatArray, normal: Normal, scores: Scores, channels: Sequence[int], samples: int,
     likelihood: bool,
 ) -> Natural:  # fmt: skip
     """Estimates and covariance of one group from the vector p and its normal equations.
 
-    support : (M, C) samples each inner entry lives on, see :func:`fitter.fitting.polish.support`.
+    scores : of the samples, see :func:`fitter.fitting.polish.scores`.
     likelihood : whether the metric is the likelihood; the sandwich is used where it is not.
     """
     t, c = len(layout.entries), len(channels)
@@ -68,7 +68,7 @@ def natural(
 
     p, matrix, free = _settled(layout, p, normal, c)
     values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
-    cov, open_directions = _inverse(matrix, normal.scores, free, None if likelihood else samples)
+    cov, open_directions = _inverse(matrix, scores.outer, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
     low, high = layout.box
     at_bound: list[str | None] = [
@@ -82,7 +82,7 @@ def natural(
     size = np.linalg.norm(jacobian, axis=1, keepdims=True) + 1e-300
     unidentified = [k for k in range(len(labels)) if (moved[k] > 1e-3 * size[k]).any()]
     # A lobe between the samples fits any one of them: its curvature says nothing of its uncertainty.
-    thin = (support < SUPPORT).reshape(-1) & (p[t:] > 0)
+    thin = (scores.support < SUPPORT).reshape(-1) & (p[t:] > 0)
     reached = np.abs(jacobian[:, t:][:, thin]) * p[t:][thin] > 1e-3 * np.abs(values)[:, None]
     narrow = [k for k in range(count) if reached[k].any()]
     for k, (_, own) in enumerate(layout.entries):

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError
-from fitter.fitting import nlopt_solver, search
+from fitter.fitting import nlopt_solver, reduction, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.order import in_order, order_axes
-from fitter.fitting.polish import polish, support
+from fitter.fitting.polish import CHUNK, errors, polish, scores
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, Usable, usable
+from fitter.fitting.samples import BLOCK, ENOUGH, Block, Blocks, Usable, usable
 from fitter.fitting.writeup import Clock, Group, write_up
 from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
@@ -103,31 +103,44 @@ def _solve(
 ) -> Group:
     floor = data.floor[list(group)]
     index, scale = data.subset(request.subset, request.seed)
-    # A power of two, so that few lengths are compiled for.
-    size = max(1024, 1 << (len(index) - 1).bit_length())
-    part = data.part(group, index, size, scale)
-    weight = np.asarray(linearised_weight(metric, part.y, part.weight, floor))
+    reduced = reduction.reduce(places, data, group) if len(index) < len(data) else None
+    if reduced is None:
+        # A power of two, so that few lengths are compiled for.
+        size = max(1024, 1 << (len(index) - 1).bit_length())
+        part, examined = data.part(group, index, size, scale), len(index)
+    else:
+        part, examined = reduced, len(data)
+    weight = np.broadcast_to(linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
+    clock.lap("reduce")
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
-    basins, evidence = finder(places, part.pair, part.y, weight, request.starts, request.seed)
+    seen = slice(max(1024, 1 << (part.count - 1).bit_length()))
+    basins, evidence = finder(
+        places, part.pair[:, seen], part.y[seen], weight[seen], request.starts, request.seed
+    )
     clock.lap("search")
 
     # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
-    blocks = [data.part(group, index, max(BLOCK, size), scale)]
+    blocks = [part if part.y.shape[0] % CHUNK == 0 else data.part(group, index, BLOCK, scale)]
     ends = [
         polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
     ]
-    best = min(end.normal.objective for end in ends)
-    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best]
+    best = min(ends, key=lambda end: end.normal.objective)
+    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best.normal.objective]
     clock.lap("subset polish")
-    full = data.blocks(group) if len(index) < len(data) else blocks
+    full: Sequence[Block] = data.blocks(group) if len(index) < len(data) else blocks
     passes = 0
-    if len(near) > 1:
-        rivals = [polish(places, metric, floor, p, full, 10) for p in near]
-        near = [min(rivals, key=lambda end: end.normal.objective).p]
-        passes = sum(end.passes for end in rivals)
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
-    end = finish(places, metric, floor, near[0], full)
+    if reduced is not None:
+        # The pseudo-samples are the table: their optimum is its optimum.
+        end = finish(places, metric, floor, in_order(places, best.p), blocks)
+    else:
+        if len(near) > 1:
+            rivals = [polish(places, metric, floor, p, full, 10) for p in near]
+            near = [min(rivals, key=lambda end: end.normal.objective).p]
+            passes = sum(end.passes for end in rivals)
+        end = finish(places, metric, floor, near[0], full)
+        passes += end.passes
     p, normal = order_axes(places, end.p, end.normal)
     end = replace(end, p=p, normal=normal)
     clock.lap("polish")
@@ -137,10 +150,13 @@ def _solve(
             cause="values near the limits of floating point", remedy="rescale the table's values",
         )  # fmt: skip
     positions = [data.channels[c] for c in group]
-    lives_on = support(places, metric, floor, end.p, full)
-    estimates = natural(places, end.p, end.normal, lives_on, positions, len(data), metric == "measurement")
+    found = errors(places, metric, floor, end.p, full)
+    rows, step = data.evenly(ENOUGH)
+    sampled = full if step == 1 else Blocks(data, tuple(group), rows=rows)
+    told = scores(places, metric, floor, end.p, sampled, step)
+    estimates = natural(places, end.p, end.normal, told, positions, len(data), metric == "measurement")
     clock.lap("uncertainty")
-    return Group(end, estimates, evidence, len(index), passes + end.passes)
+    return Group(end, found, estimates, evidence | {"reduced": reduced is not None}, examined, passes)
 
 
 def _enough(data: Usable, places: Layout, per_group: int) -> None:

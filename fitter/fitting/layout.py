@@ -103,10 +103,23 @@ class Layout:
         return found
 
     def terms(self, u: Array, pair: Array) -> Array:
-        """Terms at pairs (6, n): (K, n), or (C, K, n) where channels have parameters of their own."""
+        """Terms at pairs (6, n): (K, n), or (C, K, n) where channels have parameters of their own.
+
+        Pseudo-samples of a reduction (:mod:`fitter.fitting.reduction`) have J (6 + K) rows instead: J
+        reference pairs, each with the weights of its K terms, which are added up.
+        """
         nonlinear = self.nonlinear(u)
         if not self.mixed:
-            return jnp.stack(self.family.terms(self.spec, nonlinear, Pair(*pair)))
+            terms = jnp.stack(self.family.terms(self.spec, nonlinear, Pair(*pair[:6])))
+            if len(pair) == 6:
+                return terms
+            width = 6 + len(terms)
+            total = terms * pair[6:width]
+            for start in range(width, len(pair), width):
+                reference = Pair(*pair[start : start + 6])
+                terms = jnp.stack(self.family.terms(self.spec, nonlinear, reference))
+                total = total + terms * pair[start + 6 : start + width]
+            return total
         wide = Pair(*(component[:, None] for component in pair))
         found = self.family.terms(self.spec, nonlinear, wide)
         shape = (pair.shape[1], self.channels)

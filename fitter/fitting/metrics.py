@@ -54,7 +54,8 @@ class Residual(NamedTuple):
 def base_weights(
     metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray
 ) -> FloatArray:
-    """(n, C) w s of each value: all that does not depend on the model."""
+    """(n, C) w s of each value, or (n, 1) where the channels have the same: all that does not depend on the
+    model."""
     if metric == "measurement":
         if sigma is None:
             raise SpecError(
@@ -64,14 +65,14 @@ def base_weights(
             )  # fmt: skip
         return 1.0 / sigma
     if metric in ("cosine", "cbrt"):
-        return np.broadcast_to(cos_i[:, None], value.shape)
-    return np.ones_like(value)
+        return cos_i[:, None].copy()
+    return np.ones((len(value), 1))
 
 
 def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray) -> FloatArray:
-    """w T(s y) of the measurements (n, C): computed once, the passes only subtract it."""
+    """What the residual subtracts, (n, C): y itself where T is the identity, else w T(s y)."""
     if metric in QUADRATIC:
-        return weight * y
+        return y
     if metric == "log":
         # Below -floor a value has no logarithm; the engine leaves such samples out and says so.
         return weight * np.log(np.maximum(y + floor, 1e-300))
@@ -82,7 +83,7 @@ def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array)
     """The residual of a metric. ``goal`` is :func:`target` of the measurements, ``floor`` the value scale
     per channel, LOG_FLOOR x median."""
     if metric in QUADRATIC:
-        return Residual(weight * f - goal, jnp.broadcast_to(weight, jnp.shape(f)))
+        return Residual(weight * (f - goal), jnp.broadcast_to(weight, jnp.shape(f)))
     if metric == "log":
         shifted = jnp.maximum(f, 0.0) + floor
         return Residual(weight * jnp.log(shifted) - goal, weight / shifted)

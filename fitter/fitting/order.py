@@ -168,9 +168,7 @@ def order_axes(layout: Layout, p: FloatArray, normal: Normal) -> tuple[FloatArra
             u, places, signs = swap.apply(u)
             order[:t], sign[:t] = order[:t][places], signs * sign[:t][places]
     both, outer = np.ix_(order, order), np.outer(sign, sign)
-    turned = normal._replace(
-        matrix=normal.matrix[both] * outer, rhs=normal.rhs[order] * sign, scores=normal.scores[both] * outer
-    )
+    turned = normal._replace(matrix=normal.matrix[both] * outer, rhs=normal.rhs[order] * sign)
     return np.concatenate([ordered_axes(layout, p[:t]), p[t:]]), turned
 
 

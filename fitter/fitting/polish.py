@@ -21,71 +21,86 @@ from numpy.typing import NDArray
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
 from fitter.fitting.least_squares import MAX_PASSES, Solution, solve
-from fitter.fitting.samples import Block
+from fitter.fitting.samples import Block, count
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
+#: pair, y, goal, weight of a block.
+Column = Array | FloatArray
+Arrays = tuple[Column, Column, Column, Column]
 CHUNK = 2_048
 
 
 class Normal(NamedTuple):
-    """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective, plain and
-    relative squared error for the report, outer products of the samples' scores (P, P)."""
+    """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective."""
 
     matrix: FloatArray
     rhs: FloatArray
     objective: float
-    squared_error: float
-    relative_error: float
-    scores: FloatArray
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
 def _accumulate(
-    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block_pair: Array, y: Array,
-    goal: Array, w: Array, chunks: Array,
-) -> tuple[Array, ...]:  # fmt: skip
-    """Sums over the first ``chunks`` chunks of a block: a traced count, so that one program serves all."""
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
+) -> Array:
+    """Sums of products (C, F + M + 1, F + M + 1) of each channel's weighted derivatives and, last, residuals,
+    over the first ``chunks`` chunks of a block: a traced count, so that one program serves all."""
     (m, c), own = inner.shape, len(layout.free)
 
-    def step(index: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        start = index * CHUNK
-        pair = jax.lax.dynamic_slice_in_dim(block_pair, start, CHUNK, axis=1)
-        y_ = jax.lax.dynamic_slice_in_dim(y, start, CHUNK)
-        goal_ = jax.lax.dynamic_slice_in_dim(goal, start, CHUNK)
-        w_ = jax.lax.dynamic_slice_in_dim(w, start, CHUNK)
+    def step(index: Array, total: Array) -> Array:
+        pair, _, goal, w = _chunk(block, index)
         f, columns = _columns(layout, u, inner, pair)
-        r = metrics.residual(metric, f, goal_, w_, floor)
-        used = w_ != 0
+        r = metrics.residual(metric, f, goal, w, floor)
+        used = w != 0
         value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
-        x = columns(slope)  # (C, F + M, n)
-        scores = x * value.T[:, None, :]
-        flat = jnp.concatenate(
-            [_gathered(layout, scores[:, :own]), scores[:, own:].transpose(1, 0, 2).reshape(m * c, CHUNK)]
-        )
-        plain = jnp.where(used, f - y_, 0.0)
-        relative = plain / (jnp.abs(y_) + 10.0 * floor)
-        parts = (
-            jnp.einsum("cin,cjn->cij", x, x), -scores.sum(axis=2), jnp.sum(value**2), jnp.sum(plain**2),
-            jnp.sum(relative**2), flat @ flat.T,
-        )  # fmt: skip
-        return tuple(a + p for a, p in zip(carry, parts, strict=True))
+        x = jnp.concatenate([columns(slope), value.T[:, None, :]], axis=1)
+        return total + jnp.einsum("cin,cjn->cij", x, x)
 
-    p, size = own + m, len(layout.entries) + m * c
-    zero = (
-        jnp.zeros((c, p, p)), jnp.zeros((c, p)), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()),
-        jnp.zeros((size, size)),
-    )  # fmt: skip
-    return jax.lax.fori_loop(0, chunks, step, zero)
+    return jax.lax.fori_loop(0, chunks, step, jnp.zeros((c, own + m + 1, own + m + 1)))
+
+
+@functools.partial(jax.jit, static_argnames="layout")
+def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chunks: Array) -> Array:
+    """The same where the channels have the same weights and the metric is a weighted square: the derivatives
+    of all of them are combinations of the terms and the terms' slopes."""
+    (k, c), own = inner.shape, len(layout.free)
+    mix = jnp.zeros((c, own + k, k + k * own))
+    mix = mix.at[:, own:, :k].set(jnp.eye(k))
+    for t in range(own):
+        mix = mix.at[:, t, k + t :: own].set(inner.T)
+
+    def step(index: Array, total: Array) -> Array:
+        pair, y, _, w = _chunk(block, index)
+        terms = layout.terms(u, pair)
+        slopes = jax.jacfwd(lambda u_: layout.terms(u_, pair))(u) if own else jnp.zeros((*terms.shape, 0))
+        r = separable.model(layout, terms, inner) - y
+        rows = jnp.concatenate([terms, slopes.transpose(0, 2, 1).reshape(k * own, -1), r.T])
+        rows = rows * w.T
+        return total + rows @ rows.T
+
+    size = k + k * own
+    total = jax.lax.fori_loop(0, chunks, step, jnp.zeros((size + c, size + c)))
+    cross = jnp.einsum("cij,jc->ci", mix, total[:size, size:])
+    matrix = jnp.einsum("cij,jk,clk->cil", mix, total[:size, :size], mix)
+    last = jnp.concatenate([cross, jnp.diagonal(total[size:, size:])[:, None]], axis=1)
+    return jnp.concatenate([jnp.concatenate([matrix, cross[:, :, None]], axis=2), last[:, None]], axis=1)
+
+
+def _chunk(block: Arrays, index: Array) -> tuple[Array, Array, Array, Array]:
+    """The samples of one chunk: pair (6, n), y, goal (n, C), weight (n, C) or (n, 1)."""
+    def part(column: Column, axis: int = 0) -> Array:
+        return jax.lax.dynamic_slice_in_dim(jnp.asarray(column), index * CHUNK, CHUNK, axis)
+
+    return part(block[0], 1), part(block[1]), part(block[2]), part(block[3])
 
 
 def _columns(
-    layout: Layout, u: Array, inner: Array, pair: Array, by_u: bool = True
+    layout: Layout, u: Array, inner: Array, pair: Array
 ) -> tuple[Array, Callable[[Array], Array]]:
     """The values (n, C) at pairs (6, n), and what makes of slopes (n, C) the derivatives (C, F + M, n) of
-    each channel by its own F nonlinear parameters, where ``by_u``, and by its M inner entries."""
-    t, alone = len(layout.free) if by_u else 0, layout.alone
+    each channel by its own F nonlinear parameters and by its M inner entries."""
+    t, alone = len(layout.free), layout.alone
     terms = layout.terms(u, pair)
     b = layout.coefficients(u, inner)
     f = separable.model(layout, terms, b)
@@ -128,72 +143,136 @@ def normal_equations(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
 ) -> Normal:
     """The sums over all blocks at the vector p."""
-    t, c = len(layout.entries), blocks[0].y.shape[1]
+    t, c = len(layout.entries), len(floor)
     u, inner = p[:t], p[t:].reshape(-1, c)
+    plain = metric in metrics.QUADRATIC and layout.coefficients_are_free and not layout.mixed
 
-    def one(block: Block) -> list[FloatArray]:
+    def one(block: Block) -> FloatArray:
         chunks = -(-block.count // CHUNK)
-        data = (block.pair, block.y, block.goal, block.weight)
-        found = _accumulate(layout, metric, u, inner, floor, *data, chunks)
-        return [np.asarray(part) for part in found]
+        if plain and block.weight.shape[1] == 1:
+            return np.asarray(_accumulate_alike(layout, u, inner, arrays(block), chunks))
+        return np.asarray(_accumulate(layout, metric, u, inner, floor, arrays(block), chunks))
 
-    parts = _each(one, blocks)
-    sums = [np.sum([part[i] for part in parts], axis=0) for i in range(len(parts[0]))]
+    sums = functools.reduce(np.add, over_blocks(one, blocks))
     size = len(p)
     matrix, rhs = np.zeros((size, size)), np.zeros(size)
     for channel in range(c):
         own = layout.where[channel if layout.mixed else 0]
         where = np.concatenate([own, t + np.arange(len(inner)) * c + channel])
-        matrix[np.ix_(where, where)] += sums[0][channel]
-        rhs[where] += sums[1][channel]
-    return Normal(matrix, rhs, float(sums[2]), float(sums[3]), float(sums[4]), sums[5])
+        matrix[np.ix_(where, where)] += sums[channel, :-1, :-1]
+        rhs[where] -= sums[channel, -1, :-1]
+    return Normal(matrix, rhs, float(sums[:, -1, -1].sum()))
+
+
+class Errors(NamedTuple):
+    """Sums over samples at the end of a fit: the objective, plain and relative squared errors."""
+
+    objective: float
+    squared: float
+    relative: float
+
+
+def errors(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+) -> Errors:
+    """The errors of all blocks at the vector p, in a pass without derivatives.
+
+    The relative error of a value is that over |y| + 1 % of the typical one.
+    """
+    t = len(layout.entries)
+    u, inner = p[:t], p[t:].reshape(-1, len(floor))
+
+    def one(block: Block) -> FloatArray:
+        chunks = -(-block.count // CHUNK)
+        return np.asarray(_errors(layout, metric, u, inner, floor, arrays(block), chunks))
+
+    return Errors(*(float(total) for total in functools.reduce(np.add, over_blocks(one, blocks))))
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "metric"))
-def _moments(
-    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, pair: Array, goal: Array, w: Array
+def _errors(
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> Array:
-    """(2, M, C) sums of the second and fourth powers of the weighted derivatives by the inner vector."""
+    def step(index: Array, total: Array) -> Array:
+        pair, y, goal, w = _chunk(block, index)
+        f = separable.model(layout, layout.terms(u, pair), layout.coefficients(u, inner))
+        used = w != 0
+        value = jnp.where(used, metrics.residual(metric, f, goal, w, floor).value, 0.0)
+        plain = jnp.where(used, f - y, 0.0)
+        relative = plain / (jnp.abs(y) + 10.0 * floor)
+        return total + jnp.stack([jnp.sum(a * a) for a in (value, plain, relative)])
 
-    def one(item: tuple[Array, Array, Array]) -> Array:
-        pair_, goal_, w_ = item
-        f, columns = _columns(layout, u, inner, pair_, by_u=False)
-        slope = metrics.residual(metric, f, goal_, w_, floor).slope
-        energy = jnp.square(columns(jnp.where(w_ != 0, slope, 0.0)))
-        return jnp.stack([energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T])
-
-    count = w.shape[0] // CHUNK
-    pairs = pair.reshape(6, count, CHUNK).transpose(1, 0, 2)
-    goals, weights = goal.reshape(count, CHUNK, -1), w.reshape(count, CHUNK, -1)
-    return jax.lax.map(one, (pairs, goals, weights)).sum(axis=0)
+    return jax.lax.fori_loop(0, chunks, step, jnp.zeros(3))
 
 
-def _each(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
-    """``work`` of every block, on threads: compiled programs release the GIL."""
+class Scores(NamedTuple):
+    """Sums over samples, or over a part of them that stands for all: outer products of the samples' scores
+    (P, P), and (M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the
+    weighted derivative x, 1 where one sample carries it all."""
+
+    outer: FloatArray
+    support: FloatArray
+
+
+def scores(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
+    step: int = 1,
+) -> Scores:  # fmt: skip
+    """The scores of the blocks' samples at the vector p; ``step`` : how many samples each stands for."""
+    t, c = len(layout.entries), len(floor)
+    u, inner = p[:t], p[t:].reshape(-1, c)
+
+    def one(block: Block) -> list[FloatArray]:
+        chunks = -(-block.count // CHUNK)
+        found = _scores(layout, metric, u, inner, floor, arrays(block), chunks)
+        return [np.asarray(part) for part in found]
+
+    outer, second, fourth = (
+        functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
+    )  # fmt: skip
+    return Scores(step * outer, step * second**2 / np.maximum(fourth, 1e-300))
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _scores(
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
+) -> tuple[Array, Array, Array]:
+    (m, c), own = inner.shape, len(layout.free)
+
+    def step(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        pair, _, goal, w = _chunk(block, index)
+        f, columns = _columns(layout, u, inner, pair)
+        r = metrics.residual(metric, f, goal, w, floor)
+        used = w != 0
+        value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
+        x = columns(slope)  # (C, F + M, n)
+        score = x * value.T[:, None, :]
+        flat = jnp.concatenate(
+            [_gathered(layout, score[:, :own]), score[:, own:].transpose(1, 0, 2).reshape(m * c, CHUNK)]
+        )
+        energy = jnp.square(x[:, own:])
+        moments = (energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T)
+        return carry[0] + flat @ flat.T, carry[1] + moments[0], carry[2] + moments[1]
+
+    size = len(layout.entries) + m * c
+    zero = (jnp.zeros((size, size)), jnp.zeros((m, c)), jnp.zeros((m, c)))
+    return jax.lax.fori_loop(0, chunks, step, zero)
+
+
+def arrays(block: Block) -> Arrays:
+    """What compiled programs take of a block."""
+    return block.pair, block.y, block.goal, block.weight
+
+
+def over_blocks(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
+    """``work`` of every block, on threads: compiled programs release the GIL. A block is made by the thread
+    that needs it."""
     if len(blocks) == 1:
         return [work(blocks[0])]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(work, blocks))
+        return list(pool.map(lambda k: work(blocks[k]), range(len(blocks))))
 
 
-def support(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
-) -> FloatArray:
-    """(M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the weighted
-    derivative x, 1 where one sample carries it all. In a pass of its own: in every pass it would cost two
-    thirds more."""
-    t, c = len(layout.entries), blocks[0].y.shape[1]
-    u, inner = p[:t], p[t:].reshape(-1, c)
-
-    def one(block: Block) -> FloatArray:
-        found = _moments(layout, metric, u, inner, floor, block.pair, block.goal, block.weight)
-        return np.asarray(found)
-
-    second, fourth = np.sum(_each(one, blocks), axis=0)
-    return second**2 / np.maximum(fourth, 1e-300)
-
-
-#: The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met.
 Polished = Solution[Normal]
 
 
@@ -203,7 +282,7 @@ def polish(
 ) -> Polished:  # fmt: skip
     """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`."""
     lower, upper = bounds(layout, len(p))
-    freedom = max(1, sum(block.count for block in blocks) * blocks[0].y.shape[1] - len(p))
+    freedom = max(1, count(blocks) * len(floor) - len(p))
     return solve(
         lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper, freedom, max_passes
     )

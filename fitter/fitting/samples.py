@@ -1,9 +1,15 @@
-"""The usable samples of a table as blocks of component arrays, whole or a weighted subset."""
+"""The usable samples of a table as blocks of component arrays, whole or a weighted subset.
+
+Nothing is expanded beforehand: directions, weights and targets of a block are made when it is asked for, so
+that a fit needs little memory beside the table, whatever its size.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +18,28 @@ from fitter import directions
 from fitter.errors import FitError, SpecError
 from fitter.fitting import metrics
 from fitter.spec import Metric, Select
+from fitter.summary import Summary, summarise
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 #: Samples a block holds. One length for all, so that one program serves every table.
 BLOCK = 65_536
 #: Values beyond this, either way, are refused.
 LARGEST = 1e60
+#: Of more samples than this an evenly spaced part stands for all where a typical value, or where the energy
+#: lies, is asked for.
+ENOUGH = 131_072
+#: Turning from one sample to the next, of a turn: azimuths that fill the circle evenly.
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Samples padded to BLOCK; padding has weight 0.
+    """Samples padded to one length; padding, and what of a grid is not usable, has weight 0.
 
-    pair : (6, B) components of wi and wo. y, weight : (B, C), and goal, the metric's target of y.
+    pair : (6, B) components of wi and wo. y, goal : (B, C), goal the metric's target of y.
+    weight : (B, C), or (B, 1) where the channels have the same.
     count : samples that are not padding.
     """
 
@@ -38,76 +52,191 @@ class Block:
 
 @dataclass(frozen=True)
 class Usable:
-    """What a fit uses of a table: arrays over its n usable, selected samples.
+    """What a fit uses of a table: n usable, selected samples.
 
-    pair : (6, n). value, weight : (n, C), weight w s of the metric. floor : (C,) of the metric.
-    metric : whose weights they are. channels : positions in the table.
+    metric : whose weights they are. index : (n,) of the samples in the table.
+    used : (N,) which samples of the table they are. channels : positions in the table.
+    floor : (C,) of the metric. summary : of the values, (C,).
+    turn : whether directions are turned about the normal, see :func:`usable`.
     left_out : counts by reason of usable samples not used.
     """
 
     metric: Metric
-    pair: FloatArray
-    value: FloatArray
-    sigma: FloatArray | None
-    weight: FloatArray
-    floor: FloatArray
+    table: Table
+    index: IntArray
+    used: NDArray[np.bool_]
     channels: tuple[int, ...]
+    floor: FloatArray
+    summary: Summary
+    turn: bool
     left_out: dict[str, int]
 
     def __len__(self) -> int:
-        return self.pair.shape[1]
+        return len(self.index)
+
+    @cached_property
+    def pair(self) -> FloatArray:
+        """(6, n) components of all directions."""
+        return self._pair(self.index)
+
+    @cached_property
+    def value(self) -> FloatArray:
+        """(n, C) values."""
+        return self.table.value[self.index][:, self._columns(range(len(self.channels)))]
+
+    @cached_property
+    def sigma(self) -> FloatArray | None:
+        """(n, C) standard uncertainties, None where the table states none."""
+        columns = self._columns(range(len(self.channels)))
+        return None if self.table.sigma is None else self.table.sigma[self.index][:, columns]
+
+    def _pair(self, index: IntArray) -> FloatArray:
+        return self._turned(np.concatenate([w.T for w in self.table.directions(index)]), index)
+
+    def _turned(self, pair: FloatArray, index: IntArray) -> FloatArray:
+        if not self.turn:
+            return pair
+        angle = 2 * np.pi * np.mod(index * GOLDEN, 1.0)
+        c, s = np.cos(angle), np.sin(angle)
+        return np.concatenate([directions.turned(w.T, c, s).T for w in (pair[:3], pair[3:])])
+
+    def _columns(self, channels: Sequence[int]) -> slice | list[int]:
+        """Positions in the table of channels given by their position among the selected."""
+        picked = [self.channels[c] for c in channels]
+        # Basic slices of whole columns are views; a list of channels would copy the table.
+        return slice(None) if picked == list(range(self.table.value.shape[1])) else picked
 
     def part(
-        self,
-        channels: Sequence[int],
-        rows: slice | NDArray[np.intp],
-        size: int,
-        scale: FloatArray | None = None,
+        self, channels: Sequence[int], rows: slice | IntArray, size: int, scale: FloatArray | None = None
     ) -> Block:
         """The samples ``rows`` of the channels (positions among the selected), padded to ``size``.
 
         ``scale`` multiplies the squared residuals of the samples of a weighted subset.
         """
-        picked = list(channels)
-        # Basic slices of whole columns are views; a list of channels would copy the table.
-        columns: slice | list[int] = slice(None) if picked == list(range(self.value.shape[1])) else picked
-        weight = self.weight[rows][:, columns]
+        index = self.index[rows]
+        pair = np.empty((6, size))
+        pair[:, : len(index)] = self._pair(index)
+        pair[:, len(index) :] = pair[:, len(index) - 1 : len(index)]
+        return self._block(channels, pair, index, scale=scale)
+
+    def cells(self, channels: Sequence[int], start: int, stop: int, size: int) -> Block:
+        """The cells start..stop of a grid, whole rows of its last axis, as they lie in the table."""
+        assert self.table.grid is not None
+        pair = np.empty((6, size))
+        self.table.grid.row_components(start, stop, pair[:, : stop - start])
+        pair[:, stop - start :] = pair[:, stop - start - 1 : stop - start]
+        if self.turn:
+            pair = self._turned(pair, np.arange(start, start + size))
+        return self._block(channels, pair, slice(start, stop), self.used[start:stop])
+
+    def _block(
+        self, channels: Sequence[int], pair: FloatArray, rows: slice | IntArray,
+        used: NDArray[np.bool_] | None = None, scale: FloatArray | None = None,
+    ) -> Block:  # fmt: skip
+        columns, size = self._columns(channels), pair.shape[1]
+        y = _filled(self.table.value[rows][:, columns], used, size, 0.0)
+        stated = self.table.sigma if self.metric == "measurement" else None
+        sigma = None if stated is None else _filled(stated[rows][:, columns], used, size, 1.0)
+        weight = metrics.base_weights(self.metric, y, sigma, pair[2])
         if scale is not None:
-            weight = weight * metrics.scaling(self.metric, scale)[:, None]
-        value = self.value[rows][:, columns]
-        return Block(
-            pair=_padded(self.pair[:, rows].T, size, edge=True).T,
-            y=_padded(value, size),
-            goal=_padded(metrics.target(self.metric, value, weight, self.floor[picked]), size),
-            weight=_padded(weight, size),
-            count=len(weight),
-        )
+            weight[: len(scale)] *= metrics.scaling(self.metric, scale)[:, None]
+        count = len(self.table.value[rows])
+        weight[count:] = 0.0
+        if used is not None:
+            weight[:count] *= used[:, None]
+        goal = metrics.target(self.metric, y, weight, self.floor[list(channels)])
+        return Block(pair, y, goal, weight, count)
 
-    def blocks(self, channels: Sequence[int]) -> list[Block]:
+    def blocks(self, channels: Sequence[int]) -> Blocks:
         """All samples of the channels."""
-        return [
-            self.part(channels, slice(start, min(start + BLOCK, len(self))), BLOCK)
-            for start in range(0, len(self), BLOCK)
-        ]
+        return Blocks(self, tuple(channels))
 
-    def subset(self, size: int, seed: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """Indices and weights of a systematic sample, half uniform, half by weighted squared value.
+    def evenly(self, most: int) -> tuple[IntArray, int]:
+        """About ``most`` evenly spaced positions at least, and the step between them."""
+        step = max(1, len(self) // most)
+        # A step that divides the length of the grid's rows would meet the same columns again and again.
+        while step > 1 and self.table.grid is not None and np.gcd(step, self.table.grid.shape[-1]) > 1:
+            step -= 1
+        return np.arange(step // 2, len(self), step), step
+
+    def subset(self, size: int, seed: int) -> tuple[IntArray, FloatArray]:
+        """Positions and weights of a systematic sample, half uniform, half by weighted squared value.
 
         Systematic sampling with probability proportional to size: a sample taken k times with
-        inclusion probability m p stands for k/(m p) samples.
+        inclusion probability m p stands for k/(m p) samples. Of a large table an evenly spaced part is
+        sampled so.
         """
-        n = len(self)
-        if n <= size:
-            return np.arange(n), np.ones(n)
-        energy = np.square(self.weight * self.value).sum(axis=1)
+        if len(self) <= size:
+            return np.arange(len(self)), np.ones(len(self))
+        rows, step = self.evenly(max(ENOUGH, 8 * size))
+        n = len(rows)
+        block = self.part(range(len(self.channels)), rows, n)
+        energy = np.square(block.weight * block.y).sum(axis=1)
         # No sample counts for more than 100 times its share: glints must not fill the subset.
         energy = np.minimum(energy, 100 * energy.mean())
         p = 0.5 / n + 0.5 * energy / max(energy.sum(), 1e-300)
         p /= p.sum()
         offset = np.random.default_rng(seed).random()
         picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, n - 1)
-        index, times = np.unique(picked, return_counts=True)
-        return index, times / (size * p[index])
+        chosen, times = np.unique(picked, return_counts=True)
+        return rows[chosen], step * times / (size * p[chosen])
+
+
+@dataclass(frozen=True)
+class Blocks(Sequence[Block]):
+    """All samples, or those at the positions ``rows``, block by block, each made when it is asked for.
+
+    cells : how many cells of a grid a block covers, whole rows of its last axis; None leaves it to the table.
+    """
+
+    data: Usable
+    channels: tuple[int, ...]
+    cells: int | None = None
+    rows: IntArray | None = None
+
+    @property
+    def samples(self) -> int:
+        return len(self.data) if self.rows is None else len(self.rows)
+
+    @property
+    def _cells(self) -> int:
+        """Cells a block covers where blocks are made of a grid's rows, else 0: where most of it is used, rows
+        are cheaper than picking samples."""
+        grid = self.data.table.grid
+        if self.cells is not None:
+            return self.cells
+        sparse = 2 * len(self.data) < len(self.data.used)
+        if grid is None or self.rows is not None or sparse or grid.shape[-1] > BLOCK:
+            return 0
+        return BLOCK // grid.shape[-1] * grid.shape[-1]
+
+    def __len__(self) -> int:
+        cells = self._cells
+        return -(-len(self.data.used) // cells) if cells else -(-self.samples // BLOCK)
+
+    @overload
+    def __getitem__(self, index: int) -> Block: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Block]: ...
+    def __getitem__(self, index: int | slice) -> Block | list[Block]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        k, cells = index % len(self), self._cells
+        if cells:
+            stop = min((k + 1) * cells, len(self.data.used))
+            return self.data.cells(self.channels, k * cells, stop, BLOCK)
+        here = slice(k * BLOCK, min((k + 1) * BLOCK, self.samples))
+        return self.data.part(self.channels, here if self.rows is None else self.rows[here], BLOCK)
+
+    def __iter__(self) -> Iterator[Block]:
+        return (self[k] for k in range(len(self)))
+
+
+def count(blocks: Sequence[Block]) -> int:
+    """The samples of blocks, usable ones where that is known without making them."""
+    return blocks.samples if isinstance(blocks, Blocks) else sum(block.count for block in blocks)
 
 
 def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = False) -> Usable:
@@ -125,81 +254,85 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
                 remedy=f"its channels are {', '.join(names)}",
             )  # fmt: skip
     channels = tuple(names.index(n) for n in select.channels) if select.channels else tuple(range(len(names)))
-    index = np.flatnonzero(table.mask)
-    wi, wo = table.directions(index)
     left_out: dict[str, int] = {}
-    keep = np.ones(len(index), bool)
-    for name, w, limit in (
-        ("theta_i", wi, select.theta_i_max_deg),
-        ("theta_o", wo, select.theta_o_max_deg),
-    ):
-        if limit is not None:
-            inside = w[:, 2] >= np.cos(np.deg2rad(limit)) - 1e-12
-            left_out[f"{name} beyond {limit:g} deg"] = int((keep & ~inside).sum())
-            keep &= inside
-    whole = len(channels) == len(names)
-    value = table.value[index] if whole else table.value[index][:, list(channels)]
-    sigma = None
-    if table.sigma is not None:
-        sigma = table.sigma[index] if whole else table.sigma[index][:, list(channels)]
-    floor = np.array([_scale(column) for column in value.T]) * metrics.LOG_FLOOR
+    used = _selected(table, select, left_out)
+    summary = _summary(table, used)
+    floor = summary.typical[list(channels)] * metrics.LOG_FLOOR
     if metric == "log":
-        defined = (value > -floor).all(axis=1)
-        left_out["no logarithm"] = int((keep & ~defined).sum())
-        keep &= defined
-    if not keep.all():
-        wi, wo, value = wi[keep], wo[keep], value[keep]
-        sigma = None if sigma is None else sigma[keep]
-    if len(value) == 0:
+        index = np.flatnonzero(used)
+        undefined = index[~(table.value[index][:, list(channels)] > -floor).all(axis=1)]
+        left_out["no logarithm"] = len(undefined)
+        used = _without(used, undefined)
+        summary = _summary(table, used)
+    left_out = {why: n for why, n in left_out.items() if n}
+    if not used.any():
         raise FitError(
             "no usable sample is left to fit", code="nothing-to-fit",
             cause=", ".join(f"{n} {why}" for why, n in left_out.items()) or "all samples are masked",
             remedy="widen the selection, or choose a metric that the values allow",
         )  # fmt: skip
-    if not np.any(value):
+    summary = summary._make(part[list(channels)] for part in summary)
+    if not summary.largest.any():
         raise FitError(
             "all values are zero", code="nothing-to-fit", cause="a table of fill values",
             remedy="check the value columns",
         )  # fmt: skip
-    if anisotropic and table.symmetry == "isotropic":
-        wi, wo = _turned(wi, wo)
-    weight = metrics.base_weights(metric, value, sigma, wi[:, 2])
-    # Sums of fourth powers have to stay numbers.
-    largest = max(float(np.abs(value).max()), float(np.abs(weight * value).max()))
-    if not 1.0 / LARGEST < largest < LARGEST or float(np.abs(weight).max()) > LARGEST:
+    _check_size(table, metric, used, list(channels), float(summary.largest.max()))
+    return Usable(
+        metric, table, np.flatnonzero(used), used, channels, np.where(floor > 0, floor, metrics.LOG_FLOOR),
+        summary, anisotropic and table.symmetry == "isotropic", left_out,
+    )  # fmt: skip
+
+
+def _selected(table: Table, select: Select, left_out: dict[str, int]) -> NDArray[np.bool_]:
+    """(N,) which usable samples lie within the selection's angles; the others are counted."""
+    used = table.mask
+    limits = (("theta_i", select.theta_i_max_deg), ("theta_o", select.theta_o_max_deg))
+    if any(limit is not None for _, limit in limits):
+        index = np.flatnonzero(used)
+        for (name, limit), w in zip(limits, table.directions(index), strict=True):
+            if limit is not None:
+                outside = index[w[:, 2] < np.cos(np.deg2rad(limit)) - 1e-12]
+                left_out[f"{name} beyond {limit:g} deg"] = int(used[outside].sum())
+                used = _without(used, outside)
+    return used
+
+
+def _without(used: NDArray[np.bool_], index: IntArray) -> NDArray[np.bool_]:
+    used = used.copy()
+    used[index] = False
+    return used
+
+
+def _summary(table: Table, used: NDArray[np.bool_]) -> Summary:
+    if used is table.mask:
+        return table.summary
+    if not used.any():
+        zero = np.zeros(table.value.shape[1])
+        return Summary(zero, zero, zero, zero)
+    return summarise(table.value, used)
+
+
+def _check_size(
+    table: Table, metric: Metric, used: NDArray[np.bool_], channels: list[int], largest: float
+) -> None:
+    """Sums of fourth powers of values and weights have to stay numbers."""
+    heaviest = 1.0
+    if metric == "measurement" and table.sigma is not None:
+        heaviest = 1.0 / min(float(table.sigma[:, c].min(where=used, initial=np.inf)) for c in channels)
+    largest = max(largest, heaviest * largest)
+    if not 1.0 / LARGEST < largest < LARGEST or heaviest > LARGEST:
         raise FitError(
             f"values, or values over their uncertainty, as large as {largest:.3g} can't be fitted",
             code="values-out-of-range", cause="a wrong unit, a fill value, or a sigma that is all but zero",
             remedy=f"give values between {1 / LARGEST:g} and {LARGEST:g}, or mask the absurd ones",
         )  # fmt: skip
-    return Usable(
-        metric=metric,
-        pair=np.concatenate([wi.T, wo.T]),
-        value=value,
-        sigma=sigma,
-        weight=weight,
-        floor=floor,
-        channels=channels,
-        left_out={why: n for why, n in left_out.items() if n},
-    )
 
 
-def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pairs (n, 3) turned about the normal, each by the golden section of a turn more than the one before."""
-    angle = 2 * np.pi * np.mod(np.arange(len(wi)) * (0.5 * (np.sqrt(5.0) - 1.0)), 1.0)
-    c, s = np.cos(angle), np.sin(angle)
-    return directions.turned(wi, c, s), directions.turned(wo, c, s)
-
-
-def _scale(column: FloatArray) -> float:
-    """A typical magnitude: the median |value|, or the mean where most are zero."""
-    magnitude = np.abs(column)
-    return float(np.median(magnitude)) or float(magnitude.mean()) or 1.0
-
-
-def _padded(array: FloatArray, size: int, edge: bool = False) -> FloatArray:
-    """(size, m) with rows of zeros, or of the last row, behind those of ``array``."""
-    missing = size - len(array)
-    if not missing:
-        return array
-    return np.pad(array, ((0, missing), (0, 0)), mode="edge" if edge else "constant")
+def _filled(
+    values: FloatArray, used: NDArray[np.bool_] | None, size: int, fill: float
+) -> FloatArray:
+    """(size, C) values (m, C) where they are used, ``fill`` elsewhere and behind them."""
+    found = np.full((size, values.shape[1]), fill)
+    np.copyto(found[: len(values)], values, where=True if used is None else used[:, None])
+    return found

@@ -71,7 +71,8 @@ def _solve(
     low, high = layout.box
     cube = candidates.sobol(len(low), count, seed)
     tried = low + (high - low) * cube
-    stride = candidates.stride(pair.shape[1])
+    # Pseudo-samples are few, and no two are alike.
+    stride = candidates.stride(pair.shape[1]) if len(pair) == 6 else 1
     cost = separable.screen(layout, jnp.asarray(tried), pair[:, ::stride], y[::stride], weight[::stride])
     begin = tried[candidates.distinct(cube, np.asarray(cost).sum(axis=1), solves)]
     grown = beam.candidates(layout, pair, y, weight, solves)

@@ -17,7 +17,7 @@ from fitter import models
 from fitter._version import __version__
 from fitter.fitting.covariance import Natural
 from fitter.fitting.energy import LargestAlbedo, largest_albedo
-from fitter.fitting.polish import Polished
+from fitter.fitting.polish import Errors, Polished
 from fitter.fitting.result import Estimate, FitResult
 from fitter.fitting.samples import Usable
 from fitter.spec import FitSpec, Metric
@@ -44,6 +44,7 @@ class Group:
     """The solution of one group of channels that share their nonlinear parameters."""
 
     polished: Polished
+    errors: Errors
     estimates: Natural
     evidence: dict[str, Any]
     subset: int
@@ -90,8 +91,10 @@ def write_up(
     kind = models.family_of(request.model)
     values = {name: jnp.asarray(e.value) for name, e in parameters.items()}
     model = kind(spec=request.model, channels=names, values=values)
-    cos_i = np.clip(data.pair[2], 0.0, 1.0)
-    albedo = largest_albedo(model, (float(np.arccos(cos_i.max())), float(np.arccos(cos_i.min()))))
+    incidences = table.domain.theta_i
+    if (limit := request.select.theta_i_max_deg) is not None:
+        incidences = (incidences[0], min(incidences[1], math.radians(limit)))
+    albedo = largest_albedo(model, incidences)
     clock.lap("energy")
     status, message, warnings = _verdict(request, names, groups, solved, data, table, albedo)
     used = {"fitted": len(data), "subset": max(s.subset for s in solved), "left_out": data.left_out}
@@ -135,15 +138,15 @@ def write_up(
 
 
 def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list[Group]) -> dict[str, float]:
-    values = data.value.size
-    objective = sum(s.polished.normal.objective for s in solved)
-    squared = sum(s.polished.normal.squared_error for s in solved)
-    spread = float(np.square(data.value - data.value.mean(axis=0)).sum())
+    values = len(data) * len(data.channels)
+    objective = sum(s.errors.objective for s in solved)
+    squared = sum(s.errors.squared for s in solved)
+    spread = float(data.summary.spread.sum())
     free = sum(len(s.polished.p) for s in solved)
     found = {
         "objective": objective / values,
         "rmse": float(np.sqrt(squared / values)),
-        "relative_rmse": float(np.sqrt(sum(s.polished.normal.relative_error for s in solved) / values)),
+        "relative_rmse": float(np.sqrt(sum(s.errors.relative for s in solved) / values)),
         "r2": 1.0 - squared / spread if spread > 0 else float("nan"),
     }
     if metric == "measurement" and values > free:

@@ -18,6 +18,7 @@ from fitter.models import albedo as _albedo
 from fitter.models.lobes import Delta, Lobe, OneSided, mixture_pdf, sample_mixture
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
+from fitter.models.span import Span
 from fitter.sampling.samples import Samples
 from fitter.spec import ModelSpec
 
@@ -229,6 +230,12 @@ class SeparableModel(ReflectanceModel):
         del nonlinear
         names = [p.name for p in cls.parameter_table(spec) if p.linear]
         return dict(zip(names, coefficients, strict=True))
+
+    @staticmethod
+    def span(spec: ModelSpec) -> Span | None:
+        """Of how few functions of the directions the terms are made, or None where they are not."""
+        del spec
+        return None
 
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:

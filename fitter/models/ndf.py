@@ -21,7 +21,9 @@ from fitter.models.pair import Half
 from fitter.models.parameters import Parameter
 from fitter.spec import ModelSpec
 
-__all__ = ["GGX", "NDF", "Beckmann", "Blinn", "Distribution", "Gaussian", "each", "of", "parameters"]
+__all__ = [
+    "GGX", "NDF", "Beckmann", "Blinn", "Distribution", "Gaussian", "each", "of", "parameters", "widest",
+]  # fmt: skip
 
 Distribution = Beckmann | GGX | Blinn | Gaussian
 
@@ -53,6 +55,11 @@ def parameters(spec: ModelSpec) -> tuple[Parameter, ...]:
     if spec.ndf == "gaussian":
         return (ndf_gaussian.S,)
     return roughness.parameters(spec.anisotropic)
+
+
+def widest(p: Parameter) -> float:
+    """The bound of a parameter of a distribution at which its lobe is widest."""
+    return p.lower if p.name == ndf_blinn.N.name else p.upper
 
 
 def of(spec: ModelSpec, values: Mapping[str, Array]) -> Distribution:

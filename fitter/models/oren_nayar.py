@@ -40,6 +40,7 @@ from fitter.models.base import SeparableModel
 from fitter.models.lobes import CosineLobe, Lobe
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
+from fitter.models.span import Span
 from fitter.spec import ModelSpec
 
 RHO = Parameter("rho", "1", 0.0, math.inf, 0.5, "albedo of the facets", linear=True)
@@ -103,6 +104,13 @@ class OrenNayar(SeparableModel):
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:
         return spec.variant not in ("full", "eon")
+
+    @staticmethod
+    def span(spec: ModelSpec) -> Span | None:
+        # Every term is c(sigma) + d(sigma) times a function of the directions, or one of the two: the normal,
+        # and straight back at 45 deg, tell them apart.
+        smooth, rough = (((SIGMA.name, value),) for value in (0.0, 1.0))
+        return Span("all", ((0.0, 0.0, 0.0), (math.pi / 4, 0.0, 0.0)), (smooth, rough))
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:

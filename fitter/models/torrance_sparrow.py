@@ -25,6 +25,7 @@ from fitter.models.lobes import CosineLobe, HalfVectorLobe, Lobe, VisibleNormalL
 from fitter.models.masking import facets
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
+from fitter.models.span import Span, of_half_vector
 from fitter.spec import ModelSpec
 
 #: With a coupled diffuse term F0 = 1 would leave no light to it: the largest F0 such a fit may have.
@@ -55,6 +56,14 @@ class TorranceSparrow(SeparableModel):
             return masked_terms(spec, above, [lobe])
         reflected, entering = fresnel.exact_split(spec.fresnel, nonlinear, fresnel.facet_cosine(h))
         return masked_terms(spec, above, [lobe * reflected], entering if coupled else 1.0)
+
+    @staticmethod
+    def span(spec: ModelSpec) -> Span | None:
+        # Of the masking terms only that of V-grooves, of the Fresnel terms only those that are linear, have
+        # no nonlinear parameter of their own.
+        if spec.anisotropic or spec.masking != "v_groove" or spec.fresnel not in ("schlick", "none"):
+            return None
+        return of_half_vector(tuple((p.name, ndf.widest(p)) for p in ndf.parameters(spec)))
 
     @classmethod
     def coefficients(

@@ -25,6 +25,7 @@ from fitter.models.diffuse import KS, diffuse_lobes, masked_terms, with_diffuse
 from fitter.models.lobes import HalfVectorLobe, Lobe
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
+from fitter.models.span import Span, of_half_vector
 from fitter.spec import ModelSpec
 
 
@@ -53,6 +54,10 @@ class Ward(SeparableModel):
         else:
             lobe = root * (root / (4 * math.pi * rough.area * jnp.sqrt(p.iz * p.oz)))
         return masked_terms(spec, above, [lobe])
+
+    @staticmethod
+    def span(spec: ModelSpec) -> Span | None:
+        return None if spec.anisotropic else of_half_vector((("alpha", roughness.ALPHA.upper),))
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:

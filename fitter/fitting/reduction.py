@@ -1,0 +1,167 @@
+"""Exact reductions: a table whose samples enter a model through few functions, as a few pseudo-samples.
+
+For many families the terms at one theta_h (or anywhere) are combinations a(pair) of their values at a few
+reference pairs (:class:`fitter.models.span.Span`). Residuals are then linear in those few numbers, so that
+one small matrix of sums tells the sum of squares of a whole slab of samples for all parameters: Ward's lobe
+on a MERL grid becomes 90 slabs of two columns. A root of that matrix is as good as the samples themselves:
+each of its rows is a pseudo-sample, and what no parameter can explain is one more. Searches and passes over
+them cost nothing, and find the optimum of the full table.
+
+Needs a metric that is a weighted sum of squares, and weights that don't depend on the model.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter import directions
+from fitter.fitting.layout import Layout
+from fitter.fitting.metrics import QUADRATIC
+from fitter.fitting.polish import CHUNK, Arrays, arrays, over_blocks
+from fitter.fitting.samples import BLOCK, Block, Blocks, Usable
+from fitter.models.pair import Pair
+from fitter.models.span import Span
+
+FloatArray = NDArray[np.float64]
+#: Directions of a slab's matrix below this share of its largest are rounding.
+SINGULAR = 1e-13
+
+
+@dataclass(frozen=True)
+class _Slabs:
+    """How the cells lie in slabs: ``count`` of ``length`` cells each, theta_h of each (count,)."""
+
+    count: int
+    length: int
+    theta_h: FloatArray
+
+
+def reduce(layout: Layout, data: Usable, channels: Sequence[int]) -> Block | None:
+    """The pseudo-samples of the channels as a block whose ``pair`` has J (6 + K) rows; None where the model,
+    the metric or the table allows no reduction."""
+    span = layout.family.span(layout.spec)
+    if span is None or data.metric not in QUADRATIC or layout.mixed or data.turn:
+        return None
+    slabs = _slabs(span, data)
+    if slabs is None:
+        return None
+    grams = _grams(layout, span, data, tuple(channels), slabs)
+    references = [_components(span, theta_h) for theta_h in slabs.theta_h]
+    inverses = _inverses(layout, span, np.stack(references))
+    return _pseudo(np.stack(references), inverses, grams, len(channels))
+
+
+def _slabs(span: Span, data: Usable) -> _Slabs | None:
+    grid = data.table.grid
+    if span.within == "all":
+        return _Slabs(1, 0, np.zeros(1))
+    if grid is None or grid.system != "half_difference" or grid.size > 2 * len(data):
+        return None
+    length = grid.size // grid.shape[0]
+    return None if length > BLOCK else _Slabs(grid.shape[0], length, grid.axes["theta_h"])
+
+
+def _components(span: Span, theta_h: float) -> FloatArray:
+    """(J, 6) the reference pairs of a slab."""
+    own = span.within == "theta_h"
+    return np.stack([
+        np.array(directions.half_difference_components(theta_h if own else h, d, phi))
+        for h, d, phi in span.references
+    ])  # fmt: skip
+
+
+def _nonlinear(span: Span) -> list[dict[str, Array]]:
+    return [{name: jnp.asarray(value) for name, value in given} for given in span.parameters]
+
+
+def _inverses(layout: Layout, span: Span, references: FloatArray) -> FloatArray:
+    """(S, K, J, J) what turns the terms at the J sets of parameters into the combination a of references."""
+    pair = Pair(*jnp.asarray(references.transpose(2, 0, 1)))  # (S, J) each
+    terms = np.array([layout.family.terms(layout.spec, q, pair) for q in _nonlinear(span)])
+    return np.linalg.pinv(terms.transpose(2, 1, 0, 3), rcond=1e-12)
+
+
+def _grams(
+    layout: Layout, span: Span, data: Usable, channels: tuple[int, ...], slabs: _Slabs
+) -> FloatArray:
+    """(S, G, Q, Q) sums of products of the weighted columns: the terms at the J sets of parameters, K J of
+    them, and the values of the channels of one weight; G = 1 where all have the same."""
+    if span.within == "all":
+        blocks: Sequence[Block] = Blocks(data, channels)
+        parts = over_blocks(lambda block: np.asarray(_sums(layout, span, 1, BLOCK, arrays(block))), blocks)
+        return np.asarray(np.sum(parts, axis=0))
+    per_block = BLOCK // slabs.length
+    blocks = Blocks(data, channels, per_block * slabs.length)
+    parts = over_blocks(
+        lambda block: np.asarray(_sums(layout, span, per_block, slabs.length, arrays(block))), blocks
+    )
+    return np.concatenate(parts)[: slabs.count]
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "span", "slabs", "length"))
+def _sums(layout: Layout, span: Span, slabs: int, length: int, block: Arrays) -> Array:
+    def one(start: Array) -> Array:
+        pair, y, w = (
+            jax.lax.dynamic_slice_in_dim(jnp.asarray(a), start * length, length, axis)
+            for a, axis in ((block[0], 1), (block[1], 0), (block[3], 0))
+        )
+        terms = [layout.family.terms(layout.spec, q, Pair(*pair)) for q in _nonlinear(span)]
+        columns = jnp.stack([term for found in terms for term in found])
+        if w.shape[1] == 1:
+            rows = jnp.concatenate([columns, y.T]) * w.T
+            return (rows @ rows.T)[None]
+        each = jnp.broadcast_to(columns, (y.shape[1], *columns.shape))
+        rows = jnp.concatenate([each, y.T[:, None]], axis=1) * w.T[:, None]
+        return jnp.einsum("gin,gjn->gij", rows, rows)
+
+    return jax.lax.map(one, jnp.arange(slabs))
+
+
+def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, channels: int) -> Block:
+    """The block of pseudo-samples from references (S, J, 6), inverses (S, K, J, J) and sums (S, G, Q, Q)."""
+    (s, k, j, _), g = inverses.shape, grams.shape[1]
+    size = k * j
+    # Columns come as (parameters, terms); a of term k for reference j is their combination.
+    mix = np.zeros((s, k, j, j, k))
+    for term in range(k):
+        mix[:, term, :, :, term] = inverses[:, term]
+    mix = mix.reshape(s, 1, size, size)
+    a = mix @ grams[:, :, :size, :size] @ mix.swapaxes(2, 3)
+    b = mix @ grams[:, :, :size, size:]
+    squares = np.einsum("sgcc->gc", grams[:, :, size:, size:])
+    scale = np.sqrt(np.maximum(np.einsum("sgii->sgi", a), 1e-300))
+    values, vectors = np.linalg.eigh(a / (scale[..., :, None] * scale[..., None, :]))
+    kept = values > SINGULAR * np.maximum(values[..., -1:], 1e-300)
+    root = np.sqrt(np.where(kept, values, 0.0))
+    rows = root[..., :, None] * vectors.swapaxes(2, 3) * scale[..., None, :]  # (S, G, size, size)
+    inverse = np.where(kept, 1.0 / np.where(kept, root, 1.0), 0.0)
+    z = inverse[..., :, None] * (vectors.swapaxes(2, 3) @ (b / scale[..., :, None]))  # (S, G, size, C or 1)
+    rest = np.sqrt(np.maximum(squares - np.square(z).sum(axis=(0, 2)), 0.0))  # (G, C or 1)
+
+    count = s * g * size + 1
+    padded = max(CHUNK, 1 << (count - 1).bit_length())
+    pair = np.zeros((j, 6 + k, padded))
+    pair[:, 2] = pair[:, 5] = 1.0
+    pair[:, :6, : count - 1] = np.repeat(references.transpose(1, 2, 0), g * size, axis=2)
+    # Rows of the factor are (reference, term) of one pseudo-sample.
+    weights = rows.reshape(s * g * size, k, j)
+    pair[:, 6:, : count - 1] = weights.transpose(2, 1, 0)
+    y, weight = np.zeros((padded, channels)), np.zeros((padded, 1 if g == 1 else channels))
+    if g == 1:
+        y[: count - 1], y[count - 1] = z.reshape(-1, channels), rest[0]
+        weight[:count] = 1.0
+    else:
+        own = np.tile(np.repeat(np.arange(g), size), s)
+        y[np.arange(count - 1), own] = z.reshape(-1)
+        weight[np.arange(count - 1), own] = 1.0
+        y[count - 1], weight[count - 1] = rest[:, 0], 1.0
+    return Block(pair.reshape(j * (6 + k), padded), y, y, weight, count)
+
