@@ -1,4 +1,4 @@
-"""Bounded, damped least squares on normal equations: the solver under every fit.
+"""Bounded least squares on normal equations in a trust region: the solver under every fit.
 
 It never sees residuals or their Jacobian, only their sums at a vector p, which the caller makes as it likes
 (:func:`fitter.fitting.polish.normal_equations`: in chunks, on all cores).
@@ -6,6 +6,7 @@ It never sees residuals or their Jacobian, only their sums at a vector p, which 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -19,6 +20,10 @@ FloatArray = NDArray[np.float64]
 #: freedom: 1e-6 is a thousandth of a standard error.
 TOLERANCE = 1e-6
 MAX_PASSES = 60
+#: Rounding of the residuals, relative to the fitted values.
+ROUNDING = 1e-15
+#: Scaled curvatures are taken to be at least this.
+SINGULAR = 1e-14
 
 
 class Equations(Protocol):
@@ -50,38 +55,110 @@ def solve(
     equations: Callable[[FloatArray], E], p: FloatArray, lower: FloatArray, upper: FloatArray, freedom: int,
     max_passes: int = MAX_PASSES, tolerance: float = TOLERANCE,
 ) -> Solution[E]:  # fmt: skip
-    """Levenberg-Marquardt from p (P,) with bounds kept by an active set in every step.
+    """Gauss-Newton from p (P,) in a trust region, with bounds kept by an active set in every step.
 
-    The part of the Hessian that Gauss-Newton leaves out is learned from the gradients (Dennis, Gay and
-    Welsch 1981, NL2SOL): without it a model that fits badly takes fifty passes instead of eight. A step
-    is taken only if the objective falls, whatever approximation made it.
+    Parameters are measured by what they do to the fitted values: the region is |D step| <= radius, D the
+    largest column norms of the Jacobian met so far (More 1978), so that a parameter that has left the place
+    where it mattered does not run off. Steps that fit inside, as most do, are not damped.
+
+    The part S of the Hessian that Gauss-Newton leaves out is learned from the gradients (Dennis, Gay and
+    Welsch 1981, NL2SOL), and used as long as it foretells the objective better than J^T J alone: without it
+    a model that fits badly takes fifty passes instead of eight. A step is taken only if the objective falls,
+    or, where that is flat to the last digits, by how much it could still fall.
 
     freedom : values less parameters, at least 1: the objective over it is the unit of the tolerance.
     """
     p = np.clip(p, lower, upper)
     now = equations(p)
-    damping, passes = 0.0, 1
+    passes, learned, blocked = 1, False, False
     rest = np.zeros_like(now.matrix)
+    widest = _norms(now.matrix)
+    radius = max(_length(widest * p), 1e-3 * math.sqrt(max(now.objective, 0.0))) or math.inf
     while passes < max_passes:
-        step, predicted = _step(now.matrix + rest, now.rhs, p, lower, upper, damping)
-        if predicted <= tolerance * now.objective / freedom:
+        own = _norms(now.matrix)
+        widest = np.maximum(widest, own)
+        matrix = now.matrix + rest if learned else now.matrix
+        step = _step(matrix, now.rhs, p, lower, upper, _positive(own))
+        damped = _length(widest * step) > radius
+        if damped:
+            damping = _damping(matrix, now.rhs, _positive(widest), radius)
+            step = _step(matrix, now.rhs, p, lower, upper, _positive(widest), damping)
+        plain = 2.0 * float(now.rhs @ step) - float(step @ now.matrix @ step)
+        bent = plain - float(step @ rest @ step)
+        predicted = bent if learned else plain
+        if not damped and predicted <= tolerance * now.objective / freedom:
             return Solution(p, now, passes, True)
         trial = np.clip(p + step, lower, upper)
         then = equations(trial)
         passes += 1
-        if np.isfinite(then.objective) and then.objective < now.objective:
+        size = _length(widest * step)
+        finite = bool(np.isfinite(then.objective) and np.isfinite(then.matrix).all())
+        noise = ROUNDING * (now.objective + _length(own * p) * math.sqrt(max(now.objective, 0.0)))
+        flat = predicted <= noise
+        level = flat and then.objective <= now.objective + noise
+        if finite and (then.objective < now.objective or (level and _nearer(then, now))):
+            fell = now.objective - then.objective
+            learned = abs(fell - bent) < abs(fell - plain)
             rest = _second_order(rest, now, then, trial - p)
-            p, now = trial, then
-            damping = 0.0 if damping < 1e-6 else damping / 10
-        elif np.max(np.abs(step) / (np.abs(p) + 1e-12)) < 1e-13:
-            # The step is rounding: the objective is flat to the last digit.
-            return Solution(p, now, passes, True)
+            if fell > 0.75 * predicted:
+                radius = max(radius, 2.0 * size)
+            elif fell < 0.25 * predicted:
+                radius = 0.5 * size
+            p, now, blocked = trial, then, False
+        elif finite and flat:
+            # The step is rounding, unless it is so short because of what lies around.
+            return Solution(p, now, passes, not blocked)
+        elif learned:
+            learned = False
         else:
-            rest = np.zeros_like(rest)
-            damping = max(damping * 10, 1e-4)
-            if damping > 1e12:
-                return Solution(p, now, passes, False)
+            radius = (0.5 if finite else 0.1) * size
+            blocked = blocked or not finite
     return Solution(p, now, passes, False)
+
+
+def _nearer(then: Equations, now: Equations) -> bool:
+    """Whether an undamped step could lower the objective a quarter as much as before at most."""
+    before, after = (
+        float(e.rhs @ _solved(e.matrix, e.rhs, _positive(_norms(e.matrix)))) for e in (now, then)
+    )
+    return after < 0.25 * before
+
+
+def _solved(matrix: FloatArray, rhs: FloatArray, scale: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return vectors @ ((vectors.T @ (rhs / scale)) / np.maximum(values, SINGULAR)) / scale
+
+
+def _length(vector: FloatArray) -> float:
+    return float(np.linalg.norm(vector))
+
+
+def _norms(matrix: FloatArray) -> FloatArray:
+    """(P,) column norms of the Jacobian. That of a parameter that moves nothing (the roughness of a lobe of
+    no strength) is 0."""
+    diagonal = np.diagonal(matrix)
+    return np.sqrt(np.where(diagonal > 1e-200, diagonal, 0.0))
+
+
+def _positive(norms: FloatArray) -> FloatArray:
+    return np.where(norms > 0, norms, 1.0)
+
+
+def _damping(matrix: FloatArray, rhs: FloatArray, scale: FloatArray, radius: float) -> float:
+    """The damping that brings the scaled step of the quadratic model to the radius: by bisection of its
+    logarithm on the eigenvalues, which is exact enough and can't fail."""
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    values = np.maximum(values, SINGULAR)
+    along = vectors.T @ (rhs / scale)
+    # With all eigenvalues 0 the step would be rhs/damping.
+    low, high = math.log(1e-16), max(math.log(max(_length(along) / radius, 1e-300)), math.log(1e-15))
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if _length(along / (values + math.exp(middle))) > radius:
+            low = middle
+        else:
+            high = middle
+    return math.exp(high)
 
 
 def _second_order(rest: FloatArray, before: Equations, after: Equations, step: FloatArray) -> FloatArray:
@@ -100,23 +177,21 @@ def _second_order(rest: FloatArray, before: Equations, after: Equations, step: F
 
 
 def _step(
-    matrix: FloatArray, rhs: FloatArray, p: FloatArray, lower: FloatArray, upper: FloatArray, damping: float
-) -> tuple[FloatArray, float]:
-    """The bounded damped step of the quadratic model and by how much the objective falls along it."""
-    diagonal = np.diagonal(matrix)
-    # A parameter that moves nothing (the roughness of a lobe of no strength) has no curvature.
-    scale = np.sqrt(np.where(diagonal > 1e-200, diagonal, 1.0))
-    g = matrix / np.outer(scale, scale)
+    matrix: FloatArray, rhs: FloatArray, p: FloatArray, lower: FloatArray, upper: FloatArray,
+    scale: FloatArray, damping: float = 0.0,
+) -> FloatArray:  # fmt: skip
+    """The bounded step (P,) of the quadratic model, damped in units of ``scale``."""
     r = rhs / scale
-    # min d.g.d/2 - r.d as least squares on the eigenvectors of g, which survives a singular g.
-    values, vectors = np.linalg.eigh(g)
-    root = np.sqrt(np.maximum(values, 1e-14) + damping)
-    a = root[:, None] * vectors.T
-    target = (vectors.T @ r) / root
-    room = (np.minimum((lower - p) * scale, 0.0), np.maximum((upper - p) * scale, 0.0))
-    free = room[1] - room[0] > 0
-    d = np.zeros_like(p)
-    if free.any():
-        found = lsq_linear(a[:, free], target, bounds=(room[0][free], room[1][free]), method="bvls")
-        d[free] = found.x
-    return d / scale, float(2.0 * r @ d - np.square(np.sqrt(np.maximum(values, 0.0)) * (vectors.T @ d)).sum())
+    # min d.g.d/2 - r.d by the eigenvectors of g, which survives a singular g.
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    energies = np.maximum(values, SINGULAR) + damping
+    low, high = np.minimum((lower - p) * scale, 0.0), np.maximum((upper - p) * scale, 0.0)
+    d = vectors @ ((vectors.T @ r) / energies)
+    if ((d < low) | (d > high)).any():
+        root = np.sqrt(energies)
+        a, target = root[:, None] * vectors.T, (vectors.T @ r) / root
+        free = high - low > 0
+        d = np.zeros_like(p)
+        if free.any():
+            d[free] = lsq_linear(a[:, free], target, bounds=(low[free], high[free]), method="bvls").x
+    return d / scale
