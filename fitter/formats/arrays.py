@@ -121,7 +121,8 @@ class _Columns:
         raise self.source.error(
             f"the variable is over ({here}) and the values over ({there})", "table-columns",
             column=self.names[k],
-            remedy="give it dimensions that the values have, or declare it as 'ignore'",
+            remedy="give it dimensions that the values have (in HDF5: scales, or labels of their axes), "
+            "or declare it as 'ignore'",
         )  # fmt: skip
 
     def _spread(self, k: int, values: NDArray[Any]) -> NDArray[Any]:

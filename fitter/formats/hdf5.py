@@ -122,7 +122,12 @@ def _variables(
         else:
             text = one.kind == "text"
             variables.append(Variable(one.name, names, one.shape, one.attributes, one.read, text))
-    return variables
+    # Files list datasets by name, unless told otherwise when they were written: B, G, R.
+    return sorted(variables, key=lambda one: _colour(_meaning(one.name, options)))
+
+
+def _colour(column: Column | None) -> int:
+    return "RGB".find(column.channel) if column is not None and len(column.channel) == 1 else -1
 
 
 def _field(one: Dataset, field: str, names: tuple[str, ...]) -> Variable:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-#: Bytes of structure pyfive may read: this, and a share of the file's. One costs it up to twenty of memory.
-_STRUCTURE, _SHARE = 1 << 19, 16
+#: Bytes of structure pyfive may read: this, and a share of the file's. One costs it up to twelve of memory.
+_STRUCTURE, _SHARE = 1 << 19, 4
 #: Cost of a read beside its bytes, so that reads of nothing end too.
 _READ = 16
 #: Bytes that one value of variable length, and one reference, takes in an attribute.

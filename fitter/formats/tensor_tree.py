@@ -189,13 +189,13 @@ def _repeated(grid: FloatArray, side: int) -> FloatArray:
 
 
 def _samples(source: Source, cells: _Cells, rank: int) -> tuple[FloatArray, FloatArray, int]:
-    """Points (n, rank) of the unit cube with values (n, C), by incidence, and how many cells there were.
+    """Points (n, rank) of the unit cube with values (n, C), in order, and how many cells there were.
 
     Every incidence of the finest level has samples, and outgoing cells wider than 2^-_FINE are divided: what
     a wide cell says holds for all of it.
     """
     incident = rank - 2
-    finest = max(cells.levels)
+    finest = max(*cells.levels, 1)  # half a cube of three dimensions stands for no incidence
     steps_of = {
         level: [1 << finest - level] * incident + [1 << max(_FINE - level, 0)] * 2 for level in cells.levels
     }
@@ -218,9 +218,9 @@ def _samples(source: Source, cells: _Cells, rank: int) -> tuple[FloatArray, Floa
         values.append(np.repeat(value, len(inner), axis=0))
     every, measured = np.concatenate(points), np.concatenate(values)
     if rank == 3:
-        kept = every[:, 0] < 0.5  # a cell of the whole cube too
+        kept = every[:, 0] < 0.5
         every, measured = every[kept], measured[kept]
-    order = np.lexsort(every[:, :incident].T[::-1])
+    order = np.lexsort(every.T[::-1])
     return every[order], measured[order], sum(len(at) for at, _ in cells.levels.values())
 
 
