@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pyarrow
 import pyarrow.parquet
 from scipy.io import netcdf_file
@@ -257,6 +259,26 @@ def tensor_tree_bytes(
     return klems_bytes(blocks, "", f"TensorTree{rank}")
 
 
+def openexr_bytes() -> bytes:
+    """Slices of two incidences, four rows of theta_o and three columns of dphi, with mirror peaks."""
+    said = {
+        "slices": "1", "system": "spherical_isotropic", "pixels": '{"brdf_R": "R", "brdf_550nm": "550nm"}',
+        "theta_o": json.dumps([math.radians(a) for a in (10, 30, 50, 70)]),
+        "dphi": json.dumps([0.0, math.pi / 2, math.pi]), "quantity": "brdf", "name": "small", "lab": "A. B.",
+    }  # fmt: skip
+    parts = []
+    for k, theta_i in enumerate((10, 50)):
+        f = np.full((4, 3), 0.25, np.float32)
+        f[2 * k, 2] = 3.0
+        header: dict[str, Any] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        header["brdf.theta_i"] = repr(math.radians(theta_i))
+        header |= {f"brdf.{key}": text for key, text in said.items()} if k == 0 else {}
+        parts.append(OpenEXR.Part(header, {"R": f, "550nm": f / 2}, f"slice {k}"))
+    sink = BytesIO()
+    OpenEXR.File(parts).write(sink)
+    return sink.getvalue()
+
+
 TENSOR_TYPES = {"B": 1, "H": 3, "I": 5, "f": 10, "d": 11}
 
 
@@ -342,6 +364,7 @@ SAMPLES = [
     Sample("hdf5", hdf5_bytes(), 36),
     Sample("klems", klems_bytes(), 121, gridded=False),
     Sample("tensor-tree", tensor_tree_bytes(), 256, gridded=False),
+    Sample("openexr", openexr_bytes(), 24),
     Sample("fred", fred_bytes(), 36, counted=False),
     Sample("rgl", rgl_bytes(), 48, gridded=False),
     Sample("mbsdf", mbsdf_bytes(), 80),
