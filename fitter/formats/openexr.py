@@ -47,24 +47,23 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     with _refusing(source):
         parts = _parts(source, pixels=False)
         shapes = [_shape(part) for part in parts]
-        counts = [len(part.header["channels"]) for part in parts]
-        pixels = sum(prod(shape) * count for shape, count in zip(shapes, counts, strict=True))
+        channels = [[str(channel.name) for channel in part.header["channels"]] for part in parts]
+        said = {
+            str(key).removeprefix(PREFIX): value for key, value in parts[0].header.items()
+            if str(key).startswith(PREFIX) and isinstance(value, str)
+        }  # fmt: skip
+    pixels = sum(prod(shape) * len(names) for shape, names in zip(shapes, channels, strict=True))
     if 4 * pixels > min(LARGEST, max(_UNPACKED * source.size, _SMALL)):
         raise source.error(
             f"the header claims {pixels:,} values in a file of {source.size:,} bytes", "table-truncated",
             cause="a damaged header", remedy="fetch the file again",
         )  # fmt: skip
-    said = {
-        str(key).removeprefix(PREFIX): value for key, value in parts[0].header.items()
-        if str(key).startswith(PREFIX) and isinstance(value, str)
-    }  # fmt: skip
     if WORD in said:
         return _slices(source, options, said)
-    names = {str(channel.name) for channel in parts[0].header["channels"]}
-    if len(parts) == 1 and shapes[0] == utia.SIDES and {"R", "G", "B"} <= names:
+    if len(parts) == 1 and shapes[0] == utia.SIDES and {"R", "G", "B"} <= set(channels[0]):
         with _refusing(source):
-            channels = _parts(source, pixels=True)[0].channels
-            planes = np.stack([np.asarray(channels[name].pixels, np.float64) for name in "RGB"])
+            found = _parts(source, pixels=True)[0].channels
+            planes = np.stack([np.asarray(found[name].pixels, np.float64) for name in "RGB"])
         return [utia.from_picture(source, options, planes)]
     raise source.error(
         "the picture says nothing about directions", "table-header", cause="a rendered or measured image",
