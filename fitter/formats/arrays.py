@@ -18,7 +18,7 @@ from fitter.formats.columns import parse_column
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
 from fitter.formats.tabular import read_columns
-from fitter.formats.tabular_header import Head, note_list, state
+from fitter.formats.tabular_header import head_of
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -166,12 +166,7 @@ def tables_of(
             f"{LARGEST / 1e9:.1f} GB", "table-too-large", column=largest.name[:40],
             remedy="write the variables of one table only, or divide it",
         )  # fmt: skip
-    head = Head()
-    for key, words in said.items():
-        if key == "notes":
-            head.notes += note_list(source, words)
-        elif key not in _FOREIGN_KEYS:
-            state(source, head, key, words)
+    head = head_of(source, said, _FOREIGN_KEYS)
     columns = _Columns(source, variables, names, shape, np.arange(1, largest.size + 1))
     return read_columns(source, options, head, columns, format=format, text=False, group=group)
 

@@ -17,7 +17,7 @@ from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.tabular import CONVENTIONS, read_columns
-from fitter.formats.tabular_header import Head, note_list, state
+from fitter.formats.tabular_header import head_of
 from fitter.formats.tabular_writer import sheet
 from fitter.table import Table
 
@@ -115,7 +115,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             remedy="give every column its own name",
         )  # fmt: skip
     columns = _Columns(source, file, names, np.arange(1, rows + 1))
-    return read_columns(source, options, _head(source, said), columns, format=NAME, text=False)
+    head = head_of(source, said, _FOREIGN_KEYS)
+    return read_columns(source, options, head, columns, format=NAME, text=False)
 
 
 def write(table: Table, path: Path) -> list[Loss]:
@@ -162,13 +163,3 @@ def _refusing(source: Source, column: str | None = None) -> Generator[None]:
 
 def _text(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
     return {key.decode(): text.decode() for key, text in metadata.items()}
-
-
-def _head(source: Source, said: Mapping[str, str]) -> Head:
-    head = Head()
-    for key, text in said.items():
-        if key == "notes":
-            head.notes += note_list(source, text)
-        elif key not in _FOREIGN_KEYS:
-            state(source, head, key, text)
-    return head
