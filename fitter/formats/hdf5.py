@@ -60,18 +60,9 @@ def _meaning(name: str, options: ReadOptions) -> Column | None:
 
 
 def _has_values(group: Group, options: ReadOptions) -> bool:
-    """Whether the group itself holds a value column."""
-    names = [name for one in group.datasets for name in _column_names(one)] + list(group.unread)
-    positions = [names[int(key)] for key, _ in options.columns if key.isdecimal() and int(key) < len(names)]
-    declared = {
-        names[int(key)]: meaning for key, meaning in options.columns
-        if key.isdecimal() and key not in names and int(key) < len(names)
-    } if positions else {}  # fmt: skip
-    for name in names:
-        column = parse_column(declared[name]) if name in declared else _meaning(name, options)
-        if column is not None and column.kind == "value":
-            return True
-    return False
+    """Whether the group itself holds a value column. A position in ``columns=`` can't tell between groups."""
+    names = [*(name for one in group.datasets for name in _column_names(one)), *group.unread]
+    return any(column.kind == "value" for name in names if (column := _meaning(name, options)))
 
 
 def _only_group(source: Source, groups: Sequence[Group], options: ReadOptions) -> Group:
