@@ -1,179 +1,96 @@
 """WINDOW's BSDF XML (Klems matrices): values over patches of the hemisphere, layer by layer and side by side.
 
-Layout and directions are those that Radiance writes and reads (genBSDF, bsdf2klems). Both sides share one
-frame, whose +z is the *back* (the room); the incident azimuth is that of the light's travel, so that straight
-transmission and mirror reflection are on the matrix' diagonal.
+The incident azimuth is that of the light's travel, so that straight transmission and mirror reflection are on
+the matrix' diagonal.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, cast
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats import geometry as geo
-from fitter.formats.assemble import TRISTIMULUS, Reading, assemble, stated_quantity
-from fitter.formats.columns import band_nm
+from fitter.formats.assemble import Reading, assemble, stated_quantity
 from fitter.formats.klems_basis import Basis, declared_basis, known_basis
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
 from fitter.formats.text import number
-from fitter.formats.xml_tree import Element, parse_xml
+from fitter.formats.window_xml import (
+    MIRRORED,
+    Block,
+    Layer,
+    Side,
+    by_side,
+    in_order,
+    is_window,
+    item_of,
+    layers_of,
+    provenance_of,
+)
+from fitter.formats.xml_tree import Element
 from fitter.table import Channel, Table
 
 FloatArray = NDArray[np.float64]
-Side = Literal["front", "back"]
 
 NAME = "klems"
 CONVENTIONS = ("phi_specular_0", "phi_specular_180")
-_ROOT = re.compile(rb"<(?:\w+:)?WindowElement[\s>]")
-_DIRECTION = re.compile(r"(reflection|transmission) (front|back)")
-_UNITS = {"nanometer": 1.0, "nm": 1.0, "micron": 1000.0, "micrometer": 1000.0, "um": 1000.0}
-#: Wavelength words of the three files' parts that together are CIE X, Y and Z.
-_XYZ = ("CIE-X", "Visible", "CIE-Z")
-#: Chromaticities that go with a luminance: no reflectance of their own.
-_CHROMATICITY = ("CIE-u", "CIE-v")
 
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of an XML text whose root is a WindowElement."""
-    return 0.98 if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") and _ROOT.search(head) else 0.0
+    return 0.98 if is_window(head) else 0.0
 
 
-@dataclass
-class _Side:
-    """Reflection of one side of one layer: its bases and matrices (incident, outgoing) by channel name."""
+@dataclass(frozen=True)
+class _Matrix:
+    """Reflection at one wavelength: values (incident, outgoing) over the patches of two bases."""
 
-    layer: int
-    side: Side
     incident: Basis
     outgoing: Basis
-    matrices: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    channels: dict[str, Channel] = field(default_factory=dict[str, Channel])
+    values: FloatArray
 
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """A table for each layer and side that has reflection blocks. Transmission is skipped, with a note."""
-    root = parse_xml(source)
-    layers = [layer for optical in root.all("Optical") for layer in optical.all("Layer")]
-    if root.name.lower() != "windowelement" or not layers:
-        raise source.error(
-            "the XML is no WindowElement with an optical layer", "table-header", row=root.row,
-            cause="XML of another kind, or a damaged file", remedy="use a BSDF file of WINDOW or Radiance",
-        )  # fmt: skip
-    sides: list[_Side] = []
-    skipped = 0
-    notes: list[str] = []
-    for k, layer in enumerate(layers):
-        found, transmission, chromaticity = _layer(source, k, layer)
-        sides += found
-        skipped += transmission
-        if chromaticity:
-            notes.append(f"{chromaticity} blocks hold chromaticities ({', '.join(_CHROMATICITY)}): not read.")
-    if not sides:
-        raise source.error(
-            f"the file holds transmission only ({skipped} blocks)" if skipped
-            else "the file holds no scattering data", "table-transmission" if skipped else "table-empty",
-            remedy="use a file that has Reflection Front or Reflection Back blocks",
-        )  # fmt: skip
-    if skipped:
-        notes.insert(0, f"{skipped} transmission blocks are in the file: not read.")
-    several = len({side.layer for side in sides}) > 1
-    tables: list[Table] = []
-    for side in sides:
-        item = f"layer {side.layer + 1} {side.side}" if several else side.side
-        tables.append(
-            _table(source, options, layers[side.layer], side, item if len(sides) > 1 else None, notes)
-        )
-    return tables
+    layers, notes = layers_of(source)
+    bases: dict[int, Mapping[str, Basis]] = {layer.number: _bases(source, layer) for layer in layers}
+    sides = by_side(source, layers, lambda layer, block: _block(source, layer, block, bases[layer.number]))
+    return [
+        _table(source, options, layer, side, matrices, item_of(layer, side, sides), notes)
+        for layer, side, matrices in sides
+    ]
 
 
 FORMAT = Format(NAME, "WINDOW BSDF XML, Klems matrices over patches", CONVENTIONS, sniff, read)
 
 
-def _layer(source: Source, k: int, layer: Element) -> tuple[list[_Side], int, int]:
-    """The sides of a layer that reflect, and how many transmission and chromaticity blocks it has."""
-    definition = layer.first("DataDefinition")
-    structure = layer.words("DataDefinition", "IncidentDataStructure")
-    if structure.lower().startswith("tensortree"):
+def _bases(source: Source, layer: Layer) -> dict[str, Basis]:
+    """The angle bases a layer declares, by name in lower case."""
+    definition = layer.element.first("DataDefinition")
+    if definition is None or layer.structure.lower() not in ("columns", "rows"):
         raise source.error(
-            f"the file holds a tensor tree ({structure[:20]}), which is not read yet", "table-tensor-tree",
-            row=layer.row, column="IncidentDataStructure",
-            remedy="convert it with Radiance: bsdf2klems tree.xml > klems.xml",
-        )  # fmt: skip
-    if definition is None or structure.lower() not in ("columns", "rows"):
-        raise source.error(
-            f"IncidentDataStructure is {structure[:40]!r}", "table-header", row=layer.row,
+            f"IncidentDataStructure is {layer.structure[:40]!r}", "table-header", row=layer.element.row,
             column="IncidentDataStructure", cause="a damaged header", remedy="write Columns or Rows",
         )  # fmt: skip
     declared = [declared_basis(source, element) for element in definition.all("AngleBasis")]
-    bases = {basis.name.lower(): basis for basis in declared}
-    found: dict[Side, _Side] = {}
-    transmission = chromaticity = 0
-    for data in layer.all("WavelengthData"):
-        channel = _channel(data)
-        for block in data.all("WavelengthDataBlock"):
-            words = block.words("WavelengthDataDirection")
-            match = _DIRECTION.fullmatch(" ".join(words.lower().split()))
-            if match is None:
-                raise source.error(
-                    f"WavelengthDataDirection is {words[:40]!r}", "table-header", row=block.row,
-                    column="WavelengthDataDirection", cause="a damaged header",
-                    remedy="write Reflection or Transmission, then Front or Back",
-                )  # fmt: skip
-            if match[1] == "transmission":
-                transmission += 1
-            elif channel.name in _CHROMATICITY:
-                chromaticity += 1
-            else:
-                _block(source, k, block, structure, bases, channel, cast("Side", match[2]), found)
-    return list(found.values()), transmission, chromaticity
+    return {basis.name.lower(): basis for basis in declared}
 
 
-def _channel(data: Element) -> Channel:
-    """The channel of a WavelengthData: a band by its word (Visible, Solar), a line by its wavelength."""
-    words = data.words("Wavelength") or "value"
-    element = data.first("Wavelength")
-    unit = "" if element is None else element.attributes.get("unit", "").lower().rstrip("s")
-    value = number(words)
-    if value is not None and unit in _UNITS and 0 < value * _UNITS[unit] < 1e9:
-        nm = value * _UNITS[unit]
-        return Channel(f"{nm:.10g}nm", nm)
-    return Channel(words[:80], band_nm(words))
-
-
-def _block(
-    source: Source, k: int, block: Element, structure: str, bases: Mapping[str, Basis], channel: Channel,
-    side: Side, found: dict[Side, _Side],
-) -> None:  # fmt: skip
-    """Add a reflection block to ``found``. Its ScatteringDataType is no help: Radiance writes BTDF always."""
+def _block(source: Source, layer: Layer, block: Block, bases: Mapping[str, Basis]) -> _Matrix:
+    """A block's matrix. Its ScatteringDataType is no help: Radiance writes BTDF always."""
     pair: list[Basis] = []
     for key in ("RowAngleBasis", "ColumnAngleBasis"):
-        name = block.words(key)
-        pair.append(bases.get(name.lower()) or known_basis(source, name, block.row))
-    matrix = _matrix(source, block, len(pair[0]), len(pair[1]))
+        name = block.element.words(key)
+        pair.append(bases.get(name.lower()) or known_basis(source, name, block.element.row))
+    matrix = _matrix(source, block.element, len(pair[0]), len(pair[1]))
     outgoing, incident = pair
-    if structure.lower() == "rows":
-        outgoing, incident = incident, outgoing
-    else:
-        matrix = matrix.T
-    entry = found.setdefault(side, _Side(k, side, incident, outgoing))
-    if entry.incident is not incident or entry.outgoing is not outgoing:
-        raise source.error(
-            f"the {side} reflection is on different angle bases at different wavelengths", "table-header",
-            row=block.row, column="ColumnAngleBasis", remedy="keep one basis in a file",
-        )  # fmt: skip
-    if channel.name in entry.channels:
-        raise source.error(
-            f"the {side} reflection is given twice for {channel.name[:40]}", "table-header", row=block.row,
-            column="Wavelength", remedy="keep one block for each wavelength and direction",
-        )  # fmt: skip
-    entry.matrices[channel.name], entry.channels[channel.name] = matrix, channel
+    if layer.structure.lower() == "rows":
+        return _Matrix(outgoing, incident, matrix)
+    return _Matrix(incident, outgoing, matrix.T)
 
 
 def _matrix(source: Source, block: Element, rows: int, columns: int) -> FloatArray:
@@ -197,40 +114,41 @@ def _matrix(source: Source, block: Element, rows: int, columns: int) -> FloatArr
 
 
 def _table(
-    source: Source, options: ReadOptions, layer: Element, side: _Side, item: str | None, notes: list[str]
-) -> Table:
-    quantity, said = stated_quantity(options, "brdf", "BRDF")
+    source: Source, options: ReadOptions, layer: Layer, side: Side, matrices: Mapping[Channel, _Matrix],
+    item: str | None, notes: list[str],
+) -> Table:  # fmt: skip
+    channels, found, said = in_order(matrices)
+    first = found[0]
+    if any(one.incident is not first.incident or one.outgoing is not first.outgoing for one in found):
+        raise source.error(
+            f"the {side} reflection is on different angle bases at different wavelengths", "table-header",
+            row=layer.element.row, column="ColumnAngleBasis", remedy="keep one basis in a file",
+        )  # fmt: skip
+    quantity, notes_of = stated_quantity(options, "brdf", "BRDF")
     convention = options.convention or CONVENTIONS[0]
     # The file's frame has its +z at the back: seen from the front, azimuths run the other way.
-    sign = -1.0 if side.side == "front" else 1.0
+    sign = -1.0 if side == "front" else 1.0
     turn = np.pi if convention == "phi_specular_0" else 0.0
-    n, m = len(side.incident), len(side.outgoing)
+    n, m = len(first.incident), len(first.outgoing)
     angles = {
-        "theta_i": np.repeat(np.deg2rad(side.incident.theta), m),
-        "phi_i": np.repeat(sign * np.deg2rad(side.incident.phi), m) + turn,
-        "theta_o": np.tile(np.deg2rad(side.outgoing.theta), n),
+        "theta_i": np.repeat(np.deg2rad(first.incident.theta), m),
+        "phi_i": np.repeat(sign * np.deg2rad(first.incident.phi), m) + turn,
+        "theta_o": np.tile(np.deg2rad(first.outgoing.theta), n),
         # The reader of angles turns the outgoing azimuth under phi_specular_0, which this undoes.
-        "phi_o": np.tile(sign * np.deg2rad(side.outgoing.phi), n) - turn,
+        "phi_o": np.tile(sign * np.deg2rad(first.outgoing.phi), n) - turn,
     }
     geometry = geo.from_angles(source, angles, convention)
-    said += notes
-    said.append(
-        f"Values are averages over the patches of {side.incident.name} (incident) and {side.outgoing.name} "
-        "(outgoing): directions are their centres."
-    )
-    if side.side == "front":
-        said.append("The front: azimuths were mirrored, so that its normal is +z.")
-    names = list(side.channels)
-    channels = list(side.channels.values())
-    if set(names) == set(_XYZ):
-        names, channels = list(_XYZ), [Channel(c) for c in "XYZ"]
-        said.append(TRISTIMULUS)
-    provenance: dict[str, object] = {"side": side.side, "basis": [side.incident.name, side.outgoing.name]}
-    for key in ("Manufacturer", "DeviceType"):
-        if words := layer.words("Material", key):
-            provenance[key] = words
+    names = [first.incident.name, first.outgoing.name]
+    notes_of += [
+        *notes,
+        f"Values are averages over the patches of {names[0]} (incident) and {names[1]} (outgoing): "
+        "directions are their centres.",
+    ]
+    if side == "front":
+        notes_of.append(MIRRORED)
     reading = Reading(
-        NAME, quantity, np.stack([side.matrices[name].reshape(-1) for name in names], axis=1), channels,
-        name=layer.words("Material", "Name"), item=item, notes=tuple(said), provenance=provenance,
+        NAME, quantity, np.stack([one.values.reshape(-1) for one in found], axis=1), channels,
+        name=layer.element.words("Material", "Name"), item=item, notes=(*notes_of, *said),
+        provenance={**provenance_of(layer, side), "basis": names},
     )  # fmt: skip
     return assemble(source, options, reading, geometry)

@@ -88,3 +88,15 @@ def unwritable(table: Table, message: str, remedy: str) -> TableError:
     return TableError(
         message, code="table-unwritable", parameter="format", file=table.metadata.name or None, remedy=remedy
     )
+
+
+def refuse_one_plane(table: Table, what: str) -> None:
+    """Raise TableError for a table of the plane of incidence only: it is never blown up into a hemisphere.
+
+    what : the subject of the sentence, as "an RGL file holds".
+    """
+    if table.domain.in_plane:
+        raise unwritable(
+            table, f"{what} the whole hemisphere and the table only the plane of incidence",
+            "use delimited text, or fit a model",
+        )  # fmt: skip

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.formats.extras import optional_package
 from fitter.formats.output import write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.tabular import CONVENTIONS, read_columns
-from fitter.formats.tabular_header import Head, note_list, state
+from fitter.formats.tabular_header import head_of
 from fitter.formats.tabular_writer import sheet
 from fitter.table import Table
 
@@ -51,7 +50,8 @@ class _Columns:
 
     def floats(self, use: Sequence[int]) -> FloatArray:
         """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
-        arrow = _arrow("pyarrow", self.source)
+        import pyarrow as arrow
+
         values = np.empty((len(self), len(use)))
         for j, k in enumerate(use):
             column = self._column(k)
@@ -72,7 +72,8 @@ class _Columns:
 
     def texts(self, column: int) -> list[str]:
         """One column as text, white space stripped; null is empty."""
-        arrow = _arrow("pyarrow", self.source)
+        import pyarrow as arrow
+
         with _refusing(self.source, self.names[column]):
             cells = self._column(column).cast(arrow.string()).to_pylist()
         return ["" if cell is None else str(cell).strip() for cell in cells]
@@ -88,7 +89,9 @@ class _Columns:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
-    arrow, parquet = _arrow("pyarrow", source), _arrow("pyarrow.parquet", source)
+    import pyarrow as arrow  # a fifth of a second, and only where such a file is met
+    from pyarrow import parquet
+
     with _refusing(source):
         file = parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
         schema, metadata = file.schema_arrow, file.metadata
@@ -112,12 +115,15 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             remedy="give every column its own name",
         )  # fmt: skip
     columns = _Columns(source, file, names, np.arange(1, rows + 1))
-    return read_columns(source, options, _head(source, said), columns, format=NAME, text=False)
+    head = head_of(source, said, _FOREIGN_KEYS)
+    return read_columns(source, options, head, columns, format=NAME, text=False)
 
 
 def write(table: Table, path: Path) -> list[Loss]:
     """Write ``table`` as Parquet: float64 columns and metadata that read back bit for bit."""
-    arrow, parquet = _arrow("pyarrow", None), _arrow("pyarrow.parquet", None)
+    import pyarrow as arrow
+    from pyarrow import parquet
+
     content = sheet(table)
     said = {**content.statements, "notes": json.dumps(content.notes)}
     columns: dict[str, Any] = dict(content.columns)
@@ -132,7 +138,7 @@ def write(table: Table, path: Path) -> list[Loss]:
 
 FORMAT = Format(
     NAME,
-    "Parquet columns declared as in delimited text (needs pyarrow)",
+    "Parquet columns declared as in delimited text",
     CONVENTIONS,
     sniff,
     read,
@@ -140,16 +146,14 @@ FORMAT = Format(
 )
 
 
-def _arrow(module: str, source: Source | None) -> Any:
-    return optional_package(module, "arrow", "Parquet files", None if source is None else source.name)
-
-
 @contextmanager
 def _refusing(source: Source, column: str | None = None) -> Generator[None]:
     """Turn what pyarrow raises at damaged bytes into a TableError."""
+    from pyarrow import ArrowException
+
     try:
         yield
-    except (_arrow("pyarrow", source).ArrowException, OSError, ValueError, MemoryError) as error:
+    except (ArrowException, OSError, ValueError, MemoryError) as error:
         reason = str(error).partition("\n")[0][:160]
         raise source.error(
             f"the Parquet file can't be read: {reason}", "table-truncated", column=column,
@@ -159,13 +163,3 @@ def _refusing(source: Source, column: str | None = None) -> Generator[None]:
 
 def _text(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
     return {key.decode(): text.decode() for key, text in metadata.items()}
-
-
-def _head(source: Source, said: Mapping[str, str]) -> Head:
-    head = Head()
-    for key, text in said.items():
-        if key == "notes":
-            head.notes += note_list(source, text)
-        elif key not in _FOREIGN_KEYS:
-            state(source, head, key, text)
-    return head

@@ -54,8 +54,8 @@ SURE = 0.5
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (rb"\x1f\x8b", "gzip-compressed: unpack it first"),
     (rb"%PDF-", "a PDF document"),
-    (rb"\x89PNG|\xff\xd8\xff|\x76\x2f\x31\x01", "a picture"),
-    (rb"\x89HDF|CDF\x05", "an HDF5 or NetCDF-4 file: write it as classic NetCDF (nccopy -k classic)"),
+    (rb"\x89PNG|\xff\xd8\xff", "a picture"),
+    (rb"CDF\x05", "a NetCDF file of version 5: write it as another kind (nccopy -k classic, or -k netCDF-4)"),
     (rb"\x93NUMPY", "a NumPy array: build fitter.Table(wi=..., wo=..., value=...) from it"),
     (rb"\s*[\[{]\s*[\"\[{\]}]", "JSON"),
     (rb"\s*<\?xml|\s*<\w+[^>]*>", "XML"),

@@ -51,11 +51,13 @@ class Rows(Protocol):
 
 
 def read_columns(
-    source: Source, options: ReadOptions, head: Head, rows: Rows, *, format: str, text: bool
-) -> list[Table]:
+    source: Source, options: ReadOptions, head: Head, rows: Rows, *, format: str, text: bool,
+    group: str | None = None,
+) -> list[Table]:  # fmt: skip
     """Tables of declared columns: one, or one for each wavelength or item where a column tells them apart.
 
     format : name of the format they stand in. text : whether that is text, which must end in a line end.
+    group : what the columns are called where the file has several such tables: it begins the items' names.
     """
     columns = declared_columns(source, rows.names, options)
     # What is missing can be said before a million rows are read.
@@ -79,7 +81,7 @@ def read_columns(
             source, options, head, rows, columns, numbers, system, quantity, notes, *part, format=format,
             text=text,
         )
-        for part in _items(rows, columns, numbers) or [(None, None, whole)]
+        for part in _items(rows, columns, numbers, group) or [(group, None, whole)]
     ]  # fmt: skip
 
 
@@ -148,21 +150,23 @@ def _quantity(
 
 
 def _items(
-    rows: Rows, columns: Mapping[int, Column], numbers: Mapping[int, FloatArray]
+    rows: Rows, columns: Mapping[int, Column], numbers: Mapping[int, FloatArray], group: str | None
 ) -> list[tuple[str | None, float | None, NDArray[np.intp]]]:
     """(item, wavelength in nm, its rows) for each table the rows are divided into; empty when undivided."""
+    before = f"{group} " if group else ""
     for k, column in columns.items():
         if column.kind == "wavelength":
             nm = numbers[k] * (1000.0 if column.unit == "um" else 1.0)
             nm = np.round(np.where(np.isfinite(nm) & (np.abs(nm) < 1e12), nm, np.nan), 6)
             distinct = np.unique(nm[np.isfinite(nm)])
-            parts = [(f"{w:.10g}nm", float(w), np.flatnonzero(nm == w)) for w in distinct]
+            parts = [(f"{before}{w:.10g}nm", float(w), np.flatnonzero(nm == w)) for w in distinct]
             lost = np.flatnonzero(np.isnan(nm))
-            return [*parts, *([("unknown wavelength", None, lost)] if len(lost) else [])]
+            return [*parts, *([(f"{before}unknown wavelength", None, lost)] if len(lost) else [])]
         if column.kind == "item":
             texts = np.asarray(rows.texts(k))
             return [
-                (str(item), None, np.flatnonzero(texts == item)) for item in dict.fromkeys(texts.tolist())
+                (f"{before}{item}", None, np.flatnonzero(texts == item))
+                for item in dict.fromkeys(texts.tolist())
             ]
     return []
 
@@ -193,7 +197,7 @@ def _table(
     sigmas = {c.channel: k for k, c in columns.items() if c.kind == "sigma"}
     channels = channels_of(source, head, [c.channel for _, c in values])
     if item is not None and wavelength_nm is not None and len(channels) == 1:
-        channels = (Channel(item, wavelength_nm),)
+        channels = (Channel(f"{wavelength_nm:.10g}nm", wavelength_nm),)
     usable = next((numbers[k][part] > 0 for k, c in columns.items() if c.kind == "usable"), None)
     symmetry = cast("Symmetry | None", head.stated.get("symmetry"))
     reading = Reading(

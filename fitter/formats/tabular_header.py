@@ -87,6 +87,17 @@ def note_list(source: Source, text: str) -> list[str]:
     return [str(note) for note in cast("list[object]", notes)]
 
 
+def head_of(source: Source, said: Mapping[str, str], foreign: frozenset[str]) -> Head:
+    """The head of metadata ``said`` (statement -> text, notes a JSON list), without ``foreign`` keys."""
+    head = Head()
+    for key, text in said.items():
+        if key == "notes":
+            head.notes += note_list(source, text)
+        elif key not in foreign:
+            state(source, head, key, text)
+    return head
+
+
 def declared_columns(source: Source, names: Sequence[str], options: ReadOptions) -> dict[int, Column]:
     """Position -> what it holds, for every column that is declared by its name or by ``columns=``.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Sequence
@@ -10,9 +11,12 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pyarrow
 import pyarrow.parquet
 from scipy.io import netcdf_file
+
+from tests.formats.hdf5_bytes import Var, hdf5
 
 
 def delimited_bytes() -> bytes:
@@ -53,6 +57,19 @@ def alta_bytes() -> bytes:
                 f = 5.0 if dphi == 0 and theta_l == theta_v else 0.2
                 rows.append(f"{theta_l}  {theta_v * math.cos(dphi)}  {theta_v * math.sin(dphi)}  {f}")
     return "\n".join(rows).encode() + b"\n"
+
+
+def alta_binary_bytes(endian: str = "little", intervals: int = 0) -> bytes:
+    """The rows of ``alta_bytes`` in ALTA's binary form."""
+    rows = [[float(cell) for cell in line.split()] for line in alta_bytes().decode().splitlines()[5:]]
+    head = ["#DIM 3 1", "#PARAM_IN  ISOTROPIC_TL_TV_PROJ_DPHI", "#PARAM_OUT INV_STERADIAN"]
+    head += ["#FORMAT binary", "#VERSION 0", "#PRECISION ieee754-double", f"#SAMPLE_COUNT {len(rows)}"]
+    head += [f"#VS {intervals}", f"#ENDIAN {endian}", "#BEGIN_STREAM", ""]
+    order = "<" if endian == "little" else ">"
+    body = b"".join(
+        struct.pack(f"{order}{4 + intervals}d", *row, *[0.5] * intervals) for row in rows
+    )  # fmt: skip
+    return "\n".join(head).encode() + body + b"\n#END_STREAM\n"
 
 
 def zemax_bytes() -> bytes:
@@ -169,6 +186,19 @@ def netcdf_bytes() -> bytes:
     return sink.getvalue()
 
 
+def hdf5_bytes() -> bytes:
+    """The grid of ``delimited_bytes`` with dimension scales, one variable of it in packed chunks."""
+    axes = {"theta_i": [10, 30, 50], "theta_o": [5, 25, 45, 65], "dphi": [0, 90, 180]}
+    rows = [float(line.split(",")[3]) for line in delimited_bytes().decode().splitlines()[3:]]
+    values = np.reshape(rows, (3, 4, 3))
+    variables = {
+        name: Var(np.array(nodes, "f4"), (name,), {"units": "degrees"}) for name, nodes in axes.items()
+    }
+    variables["brdf_R"] = Var(values, tuple(axes), {"units": "sr-1"}, chunks=(2, 3, 2))
+    variables["brdf_550nm"] = Var(values / 2, tuple(axes))
+    return hdf5(variables, Conventions="CF-1.8", quantity="brdf", title="made up")
+
+
 #: A basis of 11 patches: (lower, upper, patches) of each band, degrees.
 KLEMS_BANDS = ((0.0, 20.0, 1), (20.0, 60.0, 4), (60.0, 90.0, 6))
 
@@ -210,6 +240,45 @@ def klems_bytes(
         klems_basis_xml() if basis is None else basis, "</DataDefinition>", *blocks,
         "</Layer></Optical></WindowElement>",
     ]).encode()  # fmt: skip
+
+
+def tensor_tree_bytes(
+    trees: Sequence[str] | None = None, rank: int = 3, direction: str = "Reflection Back"
+) -> bytes:
+    """By default a tree of three dimensions: a grid of 2 x 2 x 2 values."""
+    if trees is None:
+        trees = ["{ " + " ".join(str(1.0 + k) for k in range(8)) + " }"]
+    words = ("Visible", "CIE-X", "CIE-Z")
+    blocks = [
+        f'<WavelengthData><Wavelength unit="Integral">{word}</Wavelength><WavelengthDataBlock>'
+        f"<WavelengthDataDirection>{direction}</WavelengthDataDirection>"
+        "<AngleBasis>LBNL/Shirley-Chiu</AngleBasis><ScatteringDataType>BTDF</ScatteringDataType>"
+        f"<ScatteringData>\n{tree}\n</ScatteringData></WavelengthDataBlock></WavelengthData>"
+        for word, tree in zip(words, trees, strict=False)
+    ]
+    return klems_bytes(blocks, "", f"TensorTree{rank}")
+
+
+def openexr_bytes() -> bytes:
+    """Slices of two incidences, four rows of theta_o and three columns of dphi, with mirror peaks."""
+    said = {
+        "slices": "1", "system": "spherical_isotropic", "pixels": '{"brdf_R": "R", "brdf_550nm": "550nm"}',
+        "theta_o": json.dumps([math.radians(a) for a in (10, 30, 50, 70)]),
+        "dphi": json.dumps([0.0, math.pi / 2, math.pi]), "quantity": "brdf", "name": "small", "lab": "A. B.",
+    }  # fmt: skip
+    parts = []
+    for k, theta_i in enumerate((10, 50)):
+        f = np.full((4, 3), 0.25, np.float32)
+        f[2 * k, 2] = 3.0
+        header: dict[str, Any] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        header["brdf.theta_i"] = repr(math.radians(theta_i))
+        header |= {f"brdf.{key}": text for key, text in said.items()} if k == 0 else {}
+        parts.append(OpenEXR.Part(header, {"R": f, "550nm": f / 2}, f"slice {k}"))
+    sink = BytesIO()
+    OpenEXR.File(parts).write(sink)
+    return sink.getvalue()
+
+
 TENSOR_TYPES = {"B": 1, "H": 3, "I": 5, "f": 10, "d": 11}
 
 
@@ -284,6 +353,7 @@ SAMPLES = [
     Sample("merl", merl_bytes(), 120),
     # Its projected azimuths come back with rounding of their own.
     Sample("alta", alta_bytes(), 27, gridded=False, counted=False),
+    Sample("alta", alta_binary_bytes(), 27, gridded=False),
     Sample("zemax", zemax_bytes(), 18, gridded=False),
     Sample("lighttools", lighttools_bytes(), 24),
     Sample("integra", integra_bytes(), 18, gridded=False),
@@ -291,7 +361,10 @@ SAMPLES = [
     Sample("pab-opto", pabopto_bytes(), 3, gridded=False, counted=False),
     Sample("parquet", parquet_bytes(), 36),
     Sample("netcdf", netcdf_bytes(), 36),
+    Sample("hdf5", hdf5_bytes(), 36),
     Sample("klems", klems_bytes(), 121, gridded=False),
+    Sample("tensor-tree", tensor_tree_bytes(), 256, gridded=False),
+    Sample("openexr", openexr_bytes(), 24),
     Sample("fred", fred_bytes(), 36, counted=False),
     Sample("rgl", rgl_bytes(), 48, gridded=False),
     Sample("mbsdf", mbsdf_bytes(), 80),

@@ -125,7 +125,6 @@ BROKEN = {
     "encoding": (PLAIN.replace("UTF-8", "EBCDIC-CP-XX"), "text-encoding"),
     "deep": (PLAIN.replace("nobody", "<a>" * 100 + "</a>" * 100), "table-xml"),
     "many": (PLAIN.replace("nobody", "<a/>" * 200_001), "table-xml"),
-    "tree": (PLAIN.replace("Columns", "TensorTree4"), "table-tensor-tree"),
     "structure": (PLAIN.replace("Columns", "Diagonals"), "table-header"),
     "direction": (PLAIN.replace("Reflection Front", "Reflection Side"), "table-header"),
     "basis": (PLAIN.replace("AngleBasis>made up", "AngleBasis>another"), "table-header"),

@@ -9,7 +9,7 @@ from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import load
 from fitter.table import Channel
-from tests.formats.samples import alta_bytes, astm_bytes
+from tests.formats.samples import alta_binary_bytes, alta_bytes, astm_bytes
 
 
 class TestAstm:
@@ -101,12 +101,55 @@ class TestAlta:
             assert table.wo[0, 2] == pytest.approx(wo[2], abs=1e-12)
             assert table.wi[0] @ table.wo[0] == pytest.approx(wi @ wo, abs=1e-12)
 
+    @pytest.mark.parametrize("kind", [1, 2])
+    def test_confidence_intervals_are_skipped_and_said(self, kind: int):
+        plain = load(alta_bytes())
+        lines = alta_bytes().replace(b"#VS 0", f"#VS {kind}".encode()).decode().splitlines()
+        more = "".join(f" {0.1 * k}" for k in range(kind))
+        table = load("".join(f"{line}{'' if line[0] == '#' else more}\n" for line in lines).encode())
+        np.testing.assert_array_equal(table.value, plain.value)
+        assert table.sigma is None
+        assert any("confidence intervals" in note for note in table.metadata.notes)
+
+    def test_intervals_of_every_output(self):
+        head = "#DIM 3 3\n#PARAM_IN ISOTROPIC_TL_TV_DPHI\n#PARAM_OUT INV_STERADIAN\n#VS {}\n"
+        for said, more in (("2", "0 9"), ("2", "0 9 0 9 0 9"), ("1 1 1", "7 8 9"), ("2 0 1", "0 9 5")):
+            table = load((head.format(said) + f"0.3 0.7 2.0 1 2 3 {more}\n").encode())
+            assert table.value.tolist() == [[1, 2, 3]]
+
+    @pytest.mark.parametrize("endian", ["little", "big"])
+    @pytest.mark.parametrize("kind", [0, 1, 2])
+    def test_binary(self, endian: str, kind: int):
+        plain, table = load(alta_bytes()), load(alta_binary_bytes(endian, kind))
+        np.testing.assert_array_equal(table.value, plain.value)
+        np.testing.assert_array_equal(table.wo, plain.wo)
+        assert any("confidence" in note for note in table.metadata.notes) == (kind > 0)
+        assert not any("line end" in note for note in table.metadata.notes)
+
+    @pytest.mark.parametrize(
+        ("old", "new"),
+        [
+            (b"COUNT 27", b"COUNT 26"), (b"COUNT 27", b"COUNT 28"), (b"COUNT 27", b"COUNT -1"),
+            (b"COUNT 27", b"COUNT 99999999999999999999"), (b"COUNT 27", b""), (b"VERSION 0", b"VERSION 1"),
+            (b"ieee754-double", b"ieee754-single"), (b"little", b"middle"), (b"#VS 0", b"#VS 1"),
+            (b"BEGIN_STREAM", b"STREAM"), (b"#FORMAT binary", b"#FORMAT text"), (b"#END_STREAM", b""),
+        ],
+    )  # fmt: skip
+    def test_binary_damage(self, old: bytes, new: bytes):
+        assert old in alta_binary_bytes()
+        with pytest.raises(TableError) as caught:
+            load(alta_binary_bytes().replace(old, new, 1), name="bad.alta")
+        assert caught.value.file == "bad.alta"
+        assert caught.value.remedy
+
     @pytest.mark.parametrize(
         ("old", "new", "row"),
         [
             (b"#DIM 3 1", b"#DIM 4 1", 2),
             (b"#DIM 3 1", b"#DIM three", 2),
-            (b"#VS 0", b"#VS 2", 3),
+            (b"#VS 0", b"#VS 3", 3),
+            (b"#VS 0", b"#VS 0 0", 3),
+            (b"#VS 0", b"#VS 2", 6),
             (b"ISOTROPIC_TL_TV_PROJ_DPHI", b"SCHLICK_VK", 4),
             (b"#VS 0", b"#FORMAT binary", 3),
             (b"0.25  0.25", b"0.25  x", 6),

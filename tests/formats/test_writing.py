@@ -49,7 +49,7 @@ def in_order(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_formats_that_can_be_written():
     assert WRITABLE == [
-        "astm", "delimited", "mbsdf", "merl", "netcdf", "pab-opto", "parquet", "rgl", "zemax",
+        "astm", "delimited", "mbsdf", "merl", "netcdf", "openexr", "pab-opto", "parquet", "rgl", "zemax",
     ]  # fmt: skip
 
 
