@@ -13,7 +13,7 @@ from scipy.io import netcdf_file
 
 from fitter import directions
 from fitter.errors import TableError
-from fitter.formats import load, load_all, netcdf, write
+from fitter.formats import labelled, load, load_all, write
 from fitter.table import Table
 from tests.formats.samples import delimited_bytes, netcdf_bytes
 
@@ -127,7 +127,7 @@ def test_refused(variables: Variables, attributes: dict[str, bytes], code: str):
 
 
 def test_what_spreads_without_limit(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(netcdf, "LARGEST", 100)
+    monkeypatch.setattr(labelled, "LARGEST", 100)
     with pytest.raises(TableError) as caught:
         load(netcdf_bytes())
     assert caught.value.code == "table-too-large"
