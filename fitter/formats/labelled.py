@@ -135,7 +135,7 @@ def read_labelled(
     numeric = [one for one in variables if one.data.dtype.kind in _NUMBERS]
     largest = max(numeric, key=lambda one: (len(one.dimensions), one.data.size), default=None)
     if largest is None or largest.data.size == 0:
-        raise source.error("the file holds no values", "table-empty", remedy="check that it is whole")
+        raise source.error("no variable holds values", "table-empty", remedy="check that it is whole")
     names = [_column_name(source, one) for one in variables]
     shape = dict(zip(largest.dimensions, largest.data.shape, strict=True))
     if len(shape) < len(largest.dimensions) or not shape:
