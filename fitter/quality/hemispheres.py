@@ -31,6 +31,8 @@ MOST_SCANS, MOST_INCIDENCES = 24, 12
 MOST_DIRECTIONS = 10_000
 #: Sides of triangles longer than this on the unit disk span what was not measured.
 LONG_SIDE = 0.6
+#: An empty circle of this radius (radians), and so many times as wide as samples are apart, is a hole.
+HOLE, HOLE_OVER_SPACING = float(np.deg2rad(8.0)), 3.5
 #: Unmeasured directions get the largest value among so many nearest samples.
 _NEAREST = 3
 #: Points spread evenly over the disk.
@@ -46,7 +48,8 @@ class Hemisphere:
     unmeasured directions counted as 0, and filled with the largest of the nearest measured values;
     least : (c,) the lower one with the smallest corner of every triangle instead of its mean.
     hole : radius (radians) of the largest empty circle inside the measured region, around ``hole_at`` (3,);
-    spacing : median distance (radians) to the nearest sample there.
+    spacing : median distance (radians) to the nearest sample there; blind : cosine-weighted share of that
+    region that lies in empty circles so large that they are holes.
     """
 
     wi: FloatArray
@@ -58,6 +61,12 @@ class Hemisphere:
     hole: float
     hole_at: FloatArray
     spacing: float
+    blind: float
+
+    @property
+    def is_hole(self) -> bool:
+        """Whether the largest empty circle is a hole, not the usual gap between samples."""
+        return self.hole > HOLE and self.hole > HOLE_OVER_SPACING * self.spacing
 
     @property
     def theta_i(self) -> float:
@@ -119,7 +128,7 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     nothing = np.full(value.shape[1], np.nan)
     if scan.kind != "area" or len(scan.points) < FEWEST:
         kind = "points" if scan.kind == "area" else scan.kind
-        return Hemisphere(middle, kind, 0.0, nothing, nothing, nothing, 0.0, middle, np.nan)
+        return Hemisphere(middle, kind, 0.0, nothing, nothing, nothing, 0.0, middle, np.nan, np.nan)
     corners = scan.triangulation.simplices
     at = scan.points[corners]
     sides = at - np.roll(at, 1, axis=1)
@@ -138,9 +147,10 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     missing = max(np.pi - float(area.sum()), 0.0)
     fill = scan.value[np.asarray(near, np.intp)].max(axis=1)
     upper = lower + (missing * fill.mean(axis=0) if len(fill) else 0.0)
-    hole, place, spacing = _largest_hole(_lifted(scan.points), _lifted(probes[hull]))
+    region = _lifted(probes[hull])
+    hole, place, spacing, blind = _emptiness(_lifted(scan.points), region, len(region))
     coverage = min(float(area.sum()) / np.pi, 1.0)
-    return Hemisphere(middle, "area", coverage, lower, upper, least, hole, place, spacing)
+    return Hemisphere(middle, "area", coverage, lower, upper, least, hole, place, spacing, blind)
 
 
 def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
@@ -152,17 +162,18 @@ def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
     coverage = float(weight[~outside].sum() / np.pi)
     if table.in_plane:
         nothing = np.full(count, np.nan)
-        return Hemisphere(wi, "line", 0.0, nothing, nothing, nothing, 0.0, wi, np.nan)
+        return Hemisphere(wi, "line", 0.0, nothing, nothing, nothing, 0.0, wi, np.nan, np.nan)
     probes = _lifted(_disk(_PROBES))
     _, missing = table.evaluate(wi[None, :], probes)
     known = probes[~missing]
     if not len(known):
-        return Hemisphere(wi, "points", coverage, lower, upper, lower, 0.0, wi, np.nan)
+        return Hemisphere(wi, "points", coverage, lower, upper, lower, 0.0, wi, np.nan, np.nan)
     # Only what lies nearer to the normal than the measured directions can be a hole in them.
     edge = np.quantile(known[:, 2], 0.01)
-    hole, place, _ = _largest_hole(known, probes[missing & (probes[:, 2] > edge)])
+    unseen = probes[missing & (probes[:, 2] > edge)]
     spacing = float(np.sqrt(4.0 / _PROBES))
-    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing)
+    hole, place, _, blind = _emptiness(known, unseen, len(known) + len(unseen), spacing)
+    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing, blind)
 
 
 def _nodes(grid: Grid, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -217,14 +228,26 @@ def _within(points: FloatArray, triangles: FloatArray) -> BoolArray:
     return found
 
 
-def _largest_hole(samples: FloatArray, probes: FloatArray) -> tuple[float, FloatArray, float]:
-    """Radius and centre of the emptiest place among ``probes``, and the median distance to a sample."""
+def _emptiness(
+    samples: FloatArray, probes: FloatArray, region: int, spacing: float | None = None
+) -> tuple[float, FloatArray, float, float]:
+    """Radius and centre of the emptiest place among ``probes``, the usual distance, and the blind share.
+
+    region : how many probes the measured region has, of which the blind ones are counted. spacing : usual
+    distance to a sample, by default the median of the probes'.
+    """
     if not len(probes):
-        return 0.0, samples[0], float("nan")
-    distance, _ = KDTree(samples).query(probes)
-    angle = 2 * np.arcsin(np.clip(0.5 * np.asarray(distance), 0.0, 1.0))
+        return 0.0, samples[0], float("nan"), 0.0
+    found, _ = KDTree(samples).query(probes)
+    distance = np.asarray(found)
+    angle = 2 * np.arcsin(np.clip(0.5 * distance, 0.0, 1.0))
     at = int(np.argmax(angle))
-    return float(angle[at]), probes[at], float(np.median(angle))
+    spacing = float(np.median(angle)) if spacing is None else spacing
+    blind = np.zeros(len(probes), bool)
+    tree = KDTree(probes)
+    for k in np.flatnonzero(angle > max(HOLE, HOLE_OVER_SPACING * spacing)):
+        blind[tree.query_ball_point(probes[k], distance[k])] = True
+    return float(angle[at]), probes[at], spacing, float(blind.sum()) / region
 
 
 def _disk(count: int) -> FloatArray:
