@@ -329,6 +329,16 @@ class Table:
 
         return interpolant(self).evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
 
+    def plot(self) -> Any:
+        """The table's picture as a ``matplotlib.figure.Figure``: slices, angles covered, hemispheres.
+
+        It is what ``brdf-fitter info --plot`` writes; ``table.plot().savefig("table.png")`` does the same.
+        """
+        from fitter.report.portrait import portrait
+        from fitter.report.portrait_figure import draw
+
+        return draw(portrait(self))
+
     def to_arrow(self) -> Any:
         """A ``pyarrow.Table``: float64 columns, the rest stated in the schema's metadata.
 

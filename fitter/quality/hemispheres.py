@@ -49,7 +49,8 @@ class Hemisphere:
     least : (c,) the lower one with the smallest corner of every triangle instead of its mean.
     hole : radius (radians) of the largest empty circle inside the measured region, around ``hole_at`` (3,);
     spacing : median distance (radians) to the nearest sample there; blind : cosine-weighted share of that
-    region that lies in empty circles so large that they are holes.
+    region that lies in empty circles so large that they are holes; blind_at : (b, 3) directions there, evenly
+    spread over the projected disk.
     """
 
     wi: FloatArray
@@ -62,6 +63,15 @@ class Hemisphere:
     hole_at: FloatArray
     spacing: float
     blind: float
+    blind_at: FloatArray
+
+    @classmethod
+    def without_area(
+        cls, wi: FloatArray, kind: Literal["line", "points"], coverage: float, lower: FloatArray,
+        upper: FloatArray,
+    ) -> Hemisphere:  # fmt: skip
+        """One whose scattered directions cover no area."""
+        return cls(wi, kind, coverage, lower, upper, lower, 0.0, wi, np.nan, np.nan, np.empty((0, 3)))
 
     @property
     def is_hole(self) -> bool:
@@ -107,13 +117,15 @@ def grid_incidences(measured: Measured, grid: Grid) -> FloatArray:
 
 
 def _of_scans(measured: Measured) -> list[Hemisphere]:
-    wi, wo = measured.turned
+    wi, _ = measured.turned
     full = sorted(measured.scans, key=lambda scan: -float(wi[scan[0], 2]))
     chosen = _spread(np.arange(len(full)), MOST_SCANS)
-    return [_of_scan(measured, wi[full[k]], wo[full[k]], full[k]) for k in chosen]
+    return [of_scan(measured, full[k]) for k in chosen]
 
 
-def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArray) -> Hemisphere:
+def of_scan(measured: Measured, group: IndexArray) -> Hemisphere:
+    """Of the samples at the positions ``group`` of a scattered table, which have an incidence in common."""
+    wi, wo = (w[group] for w in measured.turned)
     if len(group) > MOST_DIRECTIONS:
         kept = np.random.default_rng(measured.seed).choice(len(group), MOST_DIRECTIONS, replace=False)
         wi, wo, group = wi[kept], wo[kept], group[kept]
@@ -128,7 +140,7 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     nothing = np.full(value.shape[1], np.nan)
     if scan.kind != "area" or len(scan.points) < FEWEST:
         kind = "points" if scan.kind == "area" else scan.kind
-        return Hemisphere(middle, kind, 0.0, nothing, nothing, nothing, 0.0, middle, np.nan, np.nan)
+        return Hemisphere.without_area(middle, kind, 0.0, nothing, nothing)
     corners = scan.triangulation.simplices
     at = scan.points[corners]
     sides = at - np.roll(at, 1, axis=1)
@@ -148,9 +160,11 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     fill = scan.value[np.asarray(near, np.intp)].max(axis=1)
     upper = lower + (missing * fill.mean(axis=0) if len(fill) else 0.0)
     region = _lifted(probes[hull])
-    hole, place, spacing, blind = _emptiness(_lifted(scan.points), region, len(region))
-    coverage = min(float(area.sum()) / np.pi, 1.0)
-    return Hemisphere(middle, "area", coverage, lower, upper, least, hole, place, spacing, blind)
+    hole, place, spacing, blind = _emptiness(_lifted(scan.points), region)
+    coverage, share = min(float(area.sum()) / np.pi, 1.0), len(blind) / len(region)
+    return Hemisphere(
+        middle, "area", coverage, lower, upper, least, hole, place, spacing, share, blind
+    )  # fmt: skip
 
 
 def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
@@ -162,18 +176,19 @@ def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
     coverage = float(weight[~outside].sum() / np.pi)
     if table.in_plane:
         nothing = np.full(count, np.nan)
-        return Hemisphere(wi, "line", 0.0, nothing, nothing, nothing, 0.0, wi, np.nan, np.nan)
+        return Hemisphere.without_area(wi, "line", 0.0, nothing, nothing)
     probes = _lifted(_disk(_PROBES))
     _, missing = table.evaluate(wi[None, :], probes)
     known = probes[~missing]
     if not len(known):
-        return Hemisphere(wi, "points", coverage, lower, upper, lower, 0.0, wi, np.nan, np.nan)
+        return Hemisphere.without_area(wi, "points", coverage, lower, upper)
     # Only what lies nearer to the normal than the measured directions can be a hole in them.
     edge = np.quantile(known[:, 2], 0.01)
     unseen = probes[missing & (probes[:, 2] > edge)]
     spacing = float(np.sqrt(4.0 / _PROBES))
-    hole, place, _, blind = _emptiness(known, unseen, len(known) + len(unseen), spacing)
-    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing, blind)
+    hole, place, _, blind = _emptiness(known, unseen, spacing)
+    share = len(blind) / (len(known) + len(unseen))
+    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing, share, blind)
 
 
 def _nodes(grid: Grid, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -229,15 +244,14 @@ def _within(points: FloatArray, triangles: FloatArray) -> BoolArray:
 
 
 def _emptiness(
-    samples: FloatArray, probes: FloatArray, region: int, spacing: float | None = None
-) -> tuple[float, FloatArray, float, float]:
-    """Radius and centre of the emptiest place among ``probes``, the usual distance, and the blind share.
+    samples: FloatArray, probes: FloatArray, spacing: float | None = None
+) -> tuple[float, FloatArray, float, FloatArray]:
+    """Radius and centre of the emptiest place among ``probes``, the usual distance, and those in holes.
 
-    region : how many probes the measured region has, of which the blind ones are counted. spacing : usual
-    distance to a sample, by default the median of the probes'.
+    spacing : usual distance to a sample, by default the median of the probes'.
     """
     if not len(probes):
-        return 0.0, samples[0], float("nan"), 0.0
+        return 0.0, samples[0], float("nan"), probes
     found, _ = KDTree(samples).query(probes)
     distance = np.asarray(found)
     angle = 2 * np.arcsin(np.clip(0.5 * distance, 0.0, 1.0))
@@ -247,7 +261,7 @@ def _emptiness(
     tree = KDTree(probes)
     for k in np.flatnonzero(angle > max(HOLE, HOLE_OVER_SPACING * spacing)):
         blind[tree.query_ball_point(probes[k], distance[k])] = True
-    return float(angle[at]), probes[at], spacing, float(blind.sum()) / region
+    return float(angle[at]), probes[at], spacing, probes[blind]
 
 
 def _disk(count: int) -> FloatArray:
