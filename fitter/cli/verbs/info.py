@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from fitter.table import Table
 
 
+#: What the file's values are, for people.
+_QUANTITIES = {
+    "brdf": "f_r in 1/sr, without the cosine",
+    "ccbrdf": "the file held f_r cos theta_o; values are divided by the cosine",
+    "reflectance_factor": "the file held pi f_r; values are divided by pi",
+}
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE", help="a file, a folder or a zip archive of measured tables")
     parser.add_argument(
@@ -50,7 +58,10 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
 def _show(described: dict[str, Any], screen: Screen) -> None:
     drawn = ("channels", "peaks", "notes", "noise", "blind_spots")
-    screen.fields(_flat({name: value for name, value in described.items() if name not in drawn}))
+    fields = {name: value for name, value in described.items() if name not in drawn}
+    fields["quantity"] = f"{described['quantity']} ({_QUANTITIES[described['quantity']]})"
+    fields["grid"] = described["grid"] or "none: scattered samples"
+    screen.fields(_flat(fields))
     columns = ("channel", "wavelength nm", "least 1/sr", "median 1/sr", "largest 1/sr")
     keys = ("name", "wavelength_nm", "min_per_sr", "median_per_sr", "max_per_sr")
     screen.line()
