@@ -1,10 +1,16 @@
-"""The sample tables and published constants that ship with the product."""
+"""The sample tables and published constants that ship with the product, and the public databases."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fitter.errors import SpecError
+
+if TYPE_CHECKING:
+    from fitter.databases import Database, Fetched
+    from fitter.progress import Progress
 
 _HERE = Path(__file__).resolve().parent
 
@@ -30,7 +36,26 @@ def constants(name: str) -> Path:
     return _find("constants", "table of constants", name)
 
 
-def _folder(kind: str, what: str) -> Path:
+def databases() -> dict[str, Database]:
+    """The public databases of measured tables, by name: what they hold, licence, citation, addresses."""
+    from fitter import databases as catalogue
+
+    return catalogue.databases()
+
+
+def get(
+    database: str, items: Sequence[str], folder: str | Path = ".", *, source: str | None = None,
+    progress: Progress | None = None,
+) -> list[Fetched]:  # fmt: skip
+    """Download files of a public database into ``folder``: see :func:`fitter.databases.get`."""
+    from fitter import databases as catalogue
+    from fitter.progress import ignore
+
+    return catalogue.get(database, items, folder, source=source, progress=progress or ignore)
+
+
+def data_folder(kind: str, what: str) -> Path:
+    """The folder of data that ships with the product. Raises SpecError where it was not installed."""
     # A wheel carries the data inside the package; in the source tree it lies beside it.
     for folder in (_HERE / "_data" / kind, _HERE.parent / "data" / kind):
         if folder.is_dir():
@@ -42,7 +67,7 @@ def _folder(kind: str, what: str) -> Path:
 
 
 def _files(kind: str, what: str) -> list[Path]:
-    return sorted(_folder(kind, what).glob("*.csv"))
+    return sorted(data_folder(kind, what).glob("*.csv"))
 
 
 def _find(kind: str, what: str, name: str) -> Path:

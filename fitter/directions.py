@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 Vectors = Float[np.ndarray, "*n 3"]
 Angles = Float[np.ndarray, "*n"]
+#: Components whose shapes broadcast.
+Parts = Float[np.ndarray, "..."]
 
 
 def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
@@ -20,7 +22,7 @@ def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
     return np.stack(np.broadcast_arrays(*spherical_components(theta, phi)), axis=-1)
 
 
-def spherical_components(theta: ArrayLike, phi: ArrayLike) -> tuple[Angles, Angles, Angles]:
+def spherical_components(theta: ArrayLike, phi: ArrayLike) -> tuple[Parts, Parts, Parts]:
     """The components of :func:`vector_from_spherical`, each of a shape that broadcasts to the angles'."""
     theta, phi = np.asarray(theta, np.float64), np.asarray(phi, np.float64)
     sine = np.sin(theta)
@@ -52,7 +54,7 @@ def vectors_from_half_difference(
 
 def half_difference_components(
     theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0
-) -> tuple[Angles, ...]:
+) -> tuple[Parts, ...]:
     """The six components of :func:`vectors_from_half_difference`, each of a shape that broadcasts to the
     angles': sines and cosines are those of the angles as given."""
     theta_h, theta_d, phi_d, phi_h = (np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
@@ -60,7 +62,7 @@ def half_difference_components(
     sin_d, cos_d = np.sin(theta_d), np.cos(theta_d)
     x, y = sin_d * np.cos(phi_d), sin_d * np.sin(phi_d)
     turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
-    found: list[Angles] = []
+    found: list[Parts] = []
     for side in (1.0, -1.0):
         along, across = side * cos_h * x + sin_h * cos_d, side * y
         found += [

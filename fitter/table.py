@@ -335,6 +335,48 @@ class Table:
 
         return interpolant(self).evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
 
+    def plot(self) -> Any:
+        """The table's picture as a ``matplotlib.figure.Figure``: slices, angles covered, hemispheres.
+
+        It is what ``brdf-fitter info --plot`` writes; ``table.plot().savefig("table.png")`` does the same.
+        """
+        from fitter.report.portrait import portrait
+        from fitter.report.portrait_figure import draw
+
+        return draw(portrait(self))
+
+    def to_arrow(self) -> Any:
+        """A ``pyarrow.Table``: float64 columns, the rest stated in the schema's metadata.
+
+        :func:`fitter.load` reads it, and what the other three give, as this table again; see
+        ``docs/python.md`` for what each of them can hold.
+        """
+        from fitter.formats.arrow import arrow_table
+
+        return arrow_table(self)
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame``, the statements in its ``attrs``. Raises TableError without pandas."""
+        from fitter.formats.arrow import pandas_frame
+
+        return pandas_frame(self)
+
+    def to_polars(self) -> Any:
+        """A ``polars.DataFrame``, which has no place for statements. Raises TableError without Polars."""
+        from fitter.formats.arrow import polars_frame
+
+        return polars_frame(self)
+
+    def to_xarray(self) -> Any:
+        """An ``xarray.Dataset``; a grid's axes are its coordinates. Raises TableError without xarray."""
+        from fitter.formats.xarrays import dataset
+
+        return dataset(self)
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """The columns of :meth:`to_arrow`, for every library that takes an Arrow C stream."""
+        return self.to_arrow().__arrow_c_stream__(requested_schema)
+
 
 def _every(flags: NDArray[np.bool_]) -> BoolArray:
     """(N,) whether all of each row of (N, C) holds."""

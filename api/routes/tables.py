@@ -202,6 +202,19 @@ def check(id: str, here: Here, seed: Annotated[int, Query(ge=0, lt=2**63)] = 0) 
     return Response(dumps(found.to_dict()), media_type="application/json")
 
 
+@router.get(
+    "/{id}/picture.png", response_class=Response,
+    responses={**problems(404, 422), 200: {"content": {"image/png": {}}, "description": "The picture"}},
+)  # fmt: skip
+def picture(id: str, here: Here) -> Response:
+    """The table's picture: slices through the plane of incidence, angles covered, scattered hemispheres."""
+    from fitter.report.portrait import portrait  # matplotlib takes half a second, and only here
+    from fitter.report.portrait_figure import draw, png
+
+    found = portrait(here.tables.open(_row(here, id)).table)
+    return Response(png(draw(found)), media_type="image/png")
+
+
 @router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
 def slices(
     id: str,

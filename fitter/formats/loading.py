@@ -1,4 +1,4 @@
-"""Loading: from a path, bytes, an open file, a folder, a zip archive or a list, to tables."""
+"""Loading: from a path, bytes, an open file, a folder, a zip archive, a data frame or a list, to tables."""
 
 from __future__ import annotations
 
@@ -10,15 +10,32 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias, cast
+from typing import Any, BinaryIO, Protocol, TypeAlias, cast
 
 from fitter.errors import SpecError, TableError
+from fitter.formats.held import Held, held
 from fitter.formats.read_options import ReadOptions, Treatment
 from fitter.formats.registry import Format, detect
 from fitter.formats.source import Source
 from fitter.table import Quantity, Table
 
-Given: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
+
+class ArrowStream(Protocol):
+    """A data frame or Arrow table: what hands over its columns as an Arrow C stream."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
+
+
+class LabelledArrays(Protocol):
+    """An xarray Dataset or DataArray: arrays over named dimensions."""
+
+    @property
+    def coords(self) -> Any: ...
+    @property
+    def attrs(self) -> Any: ...
+
+
+Given: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ArrowStream | LabelledArrays
 
 #: An archive may not unpack to more than this many bytes, whatever its directory claims.
 MAX_UNPACKED = 1 << 30
@@ -37,13 +54,16 @@ def load(
 ) -> Table:
     """The one table in ``source``: a path, bytes or an open binary file, of any registered format.
 
+    A data frame (pandas, Polars, Arrow) is read as delimited text of its columns would be, an xarray object
+    as a NetCDF file of its variables.
+
     Parameters
     ----------
     quantity : "brdf", "ccbrdf" or "reflectance_factor", where the file can't say or says it wrongly.
     convention : one of :data:`fitter.formats.CONVENTIONS`, likewise.
     item : which table, where the file holds several: its name, or (where no table has it as its name) its
         position from 0.
-    columns : delimited text: header name or 0-based position -> meaning, as "theta_i_deg", "brdf_R".
+    columns : declared columns: header name or 0-based position -> meaning, as "theta_i_deg", "brdf_R".
     negatives, duplicates : "mask" or "keep", as in :class:`fitter.Table`.
     name : what to call the table; default what the file says, else the file's name.
 
@@ -78,7 +98,7 @@ def load_all(
     duplicates: Treatment = "mask",
     name: str | None = None,
 ) -> list[Table]:
-    """Every table in a file, folder (its visible files, by name), zip archive or list of these.
+    """Every table in a file, folder (its visible files, by name), zip archive, data frame or list of these.
 
     Options as in :func:`load`; they hold for every file. ``item`` keeps one table only: by the name of
     a file's item or of a member, or by its position among all tables.
@@ -97,7 +117,7 @@ def load_all(
     inner = False
     for one, container in _sources(source, name):
         inner = container is not None
-        entry = detect(one)
+        entry = one.format if isinstance(one, Held) else detect(one)
         if convention is not None and convention not in entry.conventions:
             raise one.error(
                 f"convention {convention!r} is not for {entry.name} files", "table-convention",
@@ -138,6 +158,10 @@ def _sources(
         for path in sorted(Path(given).iterdir()):
             if path.is_file() and not path.name.startswith("."):
                 yield from _sources(path, None, str(given))
+        return
+    memory = held(given, name)
+    if memory is not None:
+        yield memory, within
         return
     source = Source(given, name)  # type: ignore[arg-type]  # Source itself refuses what it can't read
     if source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):

@@ -6,7 +6,6 @@ Variables are the columns of delimited text, global attributes its header lines:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Generator
 from contextlib import contextmanager
 from io import BytesIO
@@ -17,16 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats.arrays import Variable, tables_of, words_of
+from fitter.formats.labelled import labelled
 from fitter.formats.output import write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
 from fitter.formats.tabular import CONVENTIONS
-from fitter.formats.tabular_writer import sheet
-from fitter.grid import GRID_AXES
 from fitter.table import Table
-
-FloatArray = NDArray[np.float64]
 
 NAME = "netcdf"
 _MAGIC = (b"CDF\x01", b"CDF\x02")
@@ -48,26 +44,16 @@ def write(table: Table, path: Path) -> list[Loss]:
     """Write ``table`` as classic NetCDF: float64 variables and attributes that read back bit for bit."""
     from scipy.io import netcdf_file  # a tenth of a second, and only here
 
-    content = sheet(table)
+    content = labelled(table)
     sink = BytesIO()
     file: Any = netcdf_file(sink, "w", version=2)
-    file.Conventions = b"CF-1.11"
-    for key, words in {**content.statements, "notes": json.dumps(content.notes)}.items():
+    for key, words in content.attributes.items():
         setattr(file, key, words.encode())
-    axes: dict[str, FloatArray] = {}
-    if table.grid is not None:
-        axes = {f"{name}_rad": table.grid.axes[name] for name in GRID_AXES[table.grid.system]}
-    dimensions = {name: len(axis) for name, axis in axes.items()} or {"sample": len(table)}
-    for name, size in dimensions.items():
+    for name, size in content.dimensions.items():
         file.createDimension(name, size)
-    columns: dict[str, NDArray[Any]] = dict(content.columns)
-    if content.usable is not None:
-        columns["usable"] = content.usable.astype(np.int8)
-    for name, column in columns.items():
-        over = (name,) if name in axes else tuple(dimensions)
-        variable = file.createVariable(name, "b" if name == "usable" else "d", over)
-        variable[:] = axes[name] if name in axes else column.reshape(tuple(dimensions.values()))
-        unit = "radian" if name in axes else "sr-1" if name.startswith(("brdf", "sigma")) else "1"
+    for name, (over, column, unit) in content.variables.items():
+        variable = file.createVariable(name, "b" if column.dtype == np.int8 else "d", over)
+        variable[:] = column
         variable.units = unit.encode()
     file.flush()
     write_aside(path, [sink.getvalue()])

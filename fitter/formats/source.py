@@ -52,7 +52,7 @@ class Source:
         else:
             raise TableError(
                 f"can't read a table from {type(given).__name__}", code="file-unreadable",
-                remedy="give a path, bytes or an open binary file",
+                remedy="give a path, bytes, an open binary file or a data frame",
             )  # fmt: skip
         self.head, self.size = self._open()
 

@@ -68,7 +68,7 @@ def _check(table: Table, seed: int) -> Check:
     measured = Measured.of(table, seed)
     repeated = noise.scatter(measured)
     neighbours = noise.smoothness(measured)
-    level = _noise(repeated, neighbours)
+    level = noise.estimate(repeated, neighbours)
     spheres = hemispheres(measured)
     swapped = pairs.reciprocal_pairs(measured)
     findings = (
@@ -90,14 +90,3 @@ def _check(table: Table, seed: int) -> Check:
     return Check(
         table.metadata.name, table.hash, int(measured.keep.sum()), len(measured.rows), seed, findings
     )
-
-
-def _noise(repeated: noise.Scatter | None, neighbours: noise.Smoothness | None) -> noise.Noise | None:
-    """Noise of one sample: from repeated geometries, else the bound from smoothness."""
-    floor = float("nan") if neighbours is None else neighbours.floor
-    relative = float("nan") if neighbours is None else neighbours.relative
-    if repeated is not None and repeated.degrees >= noise.FEWEST_DEGREES and np.isfinite(repeated.relative):
-        relative = repeated.relative
-    if not np.isfinite(relative):
-        return None
-    return noise.Noise(relative, floor if np.isfinite(floor) else 0.0)

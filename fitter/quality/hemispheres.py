@@ -31,6 +31,8 @@ MOST_SCANS, MOST_INCIDENCES = 24, 12
 MOST_DIRECTIONS = 10_000
 #: Sides of triangles longer than this on the unit disk span what was not measured.
 LONG_SIDE = 0.6
+#: An empty circle of this radius (radians), and so many times as wide as samples are apart, is a hole.
+HOLE, HOLE_OVER_SPACING = float(np.deg2rad(8.0)), 3.5
 #: Unmeasured directions get the largest value among so many nearest samples.
 _NEAREST = 3
 #: Points spread evenly over the disk.
@@ -46,7 +48,9 @@ class Hemisphere:
     unmeasured directions counted as 0, and filled with the largest of the nearest measured values;
     least : (c,) the lower one with the smallest corner of every triangle instead of its mean.
     hole : radius (radians) of the largest empty circle inside the measured region, around ``hole_at`` (3,);
-    spacing : median distance (radians) to the nearest sample there.
+    spacing : median distance (radians) to the nearest sample there; blind : cosine-weighted share of that
+    region that lies in empty circles so large that they are holes; blind_at : (b, 3) directions there, evenly
+    spread over the projected disk.
     """
 
     wi: FloatArray
@@ -58,6 +62,21 @@ class Hemisphere:
     hole: float
     hole_at: FloatArray
     spacing: float
+    blind: float
+    blind_at: FloatArray
+
+    @classmethod
+    def without_area(
+        cls, wi: FloatArray, kind: Literal["line", "points"], coverage: float, lower: FloatArray,
+        upper: FloatArray,
+    ) -> Hemisphere:  # fmt: skip
+        """One whose scattered directions cover no area."""
+        return cls(wi, kind, coverage, lower, upper, lower, 0.0, wi, np.nan, np.nan, np.empty((0, 3)))
+
+    @property
+    def is_hole(self) -> bool:
+        """Whether the largest empty circle is a hole, not the usual gap between samples."""
+        return self.hole > HOLE and self.hole > HOLE_OVER_SPACING * self.spacing
 
     @property
     def theta_i(self) -> float:
@@ -98,13 +117,15 @@ def grid_incidences(measured: Measured, grid: Grid) -> FloatArray:
 
 
 def _of_scans(measured: Measured) -> list[Hemisphere]:
-    wi, wo = measured.turned
+    wi, _ = measured.turned
     full = sorted(measured.scans, key=lambda scan: -float(wi[scan[0], 2]))
     chosen = _spread(np.arange(len(full)), MOST_SCANS)
-    return [_of_scan(measured, wi[full[k]], wo[full[k]], full[k]) for k in chosen]
+    return [of_scan(measured, full[k]) for k in chosen]
 
 
-def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArray) -> Hemisphere:
+def of_scan(measured: Measured, group: IndexArray) -> Hemisphere:
+    """Of the samples at the positions ``group`` of a scattered table, which have an incidence in common."""
+    wi, wo = (w[group] for w in measured.turned)
     if len(group) > MOST_DIRECTIONS:
         kept = np.random.default_rng(measured.seed).choice(len(group), MOST_DIRECTIONS, replace=False)
         wi, wo, group = wi[kept], wo[kept], group[kept]
@@ -119,7 +140,7 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     nothing = np.full(value.shape[1], np.nan)
     if scan.kind != "area" or len(scan.points) < FEWEST:
         kind = "points" if scan.kind == "area" else scan.kind
-        return Hemisphere(middle, kind, 0.0, nothing, nothing, nothing, 0.0, middle, np.nan)
+        return Hemisphere.without_area(middle, kind, 0.0, nothing, nothing)
     corners = scan.triangulation.simplices
     at = scan.points[corners]
     sides = at - np.roll(at, 1, axis=1)
@@ -138,9 +159,12 @@ def _of_scan(measured: Measured, wi: FloatArray, wo: FloatArray, group: IndexArr
     missing = max(np.pi - float(area.sum()), 0.0)
     fill = scan.value[np.asarray(near, np.intp)].max(axis=1)
     upper = lower + (missing * fill.mean(axis=0) if len(fill) else 0.0)
-    hole, place, spacing = _largest_hole(_lifted(scan.points), _lifted(probes[hull]))
-    coverage = min(float(area.sum()) / np.pi, 1.0)
-    return Hemisphere(middle, "area", coverage, lower, upper, least, hole, place, spacing)
+    region = _lifted(probes[hull])
+    hole, place, spacing, blind = _emptiness(_lifted(scan.points), region)
+    coverage, share = min(float(area.sum()) / np.pi, 1.0), len(blind) / len(region)
+    return Hemisphere(
+        middle, "area", coverage, lower, upper, least, hole, place, spacing, share, blind
+    )  # fmt: skip
 
 
 def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
@@ -152,17 +176,19 @@ def _of_grid(table: GridInterpolant, grid: Grid, wi: FloatArray) -> Hemisphere:
     coverage = float(weight[~outside].sum() / np.pi)
     if table.in_plane:
         nothing = np.full(count, np.nan)
-        return Hemisphere(wi, "line", 0.0, nothing, nothing, nothing, 0.0, wi, np.nan)
+        return Hemisphere.without_area(wi, "line", 0.0, nothing, nothing)
     probes = _lifted(_disk(_PROBES))
     _, missing = table.evaluate(wi[None, :], probes)
     known = probes[~missing]
     if not len(known):
-        return Hemisphere(wi, "points", coverage, lower, upper, lower, 0.0, wi, np.nan)
+        return Hemisphere.without_area(wi, "points", coverage, lower, upper)
     # Only what lies nearer to the normal than the measured directions can be a hole in them.
     edge = np.quantile(known[:, 2], 0.01)
-    hole, place, _ = _largest_hole(known, probes[missing & (probes[:, 2] > edge)])
+    unseen = probes[missing & (probes[:, 2] > edge)]
     spacing = float(np.sqrt(4.0 / _PROBES))
-    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing)
+    hole, place, _, blind = _emptiness(known, unseen, spacing)
+    share = len(blind) / (len(known) + len(unseen))
+    return Hemisphere(wi, "area", coverage, lower, upper, lower, hole, place, spacing, share, blind)
 
 
 def _nodes(grid: Grid, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -217,14 +243,25 @@ def _within(points: FloatArray, triangles: FloatArray) -> BoolArray:
     return found
 
 
-def _largest_hole(samples: FloatArray, probes: FloatArray) -> tuple[float, FloatArray, float]:
-    """Radius and centre of the emptiest place among ``probes``, and the median distance to a sample."""
+def _emptiness(
+    samples: FloatArray, probes: FloatArray, spacing: float | None = None
+) -> tuple[float, FloatArray, float, FloatArray]:
+    """Radius and centre of the emptiest place among ``probes``, the usual distance, and those in holes.
+
+    spacing : usual distance to a sample, by default the median of the probes'.
+    """
     if not len(probes):
-        return 0.0, samples[0], float("nan")
-    distance, _ = KDTree(samples).query(probes)
-    angle = 2 * np.arcsin(np.clip(0.5 * np.asarray(distance), 0.0, 1.0))
+        return 0.0, samples[0], float("nan"), probes
+    found, _ = KDTree(samples).query(probes)
+    distance = np.asarray(found)
+    angle = 2 * np.arcsin(np.clip(0.5 * distance, 0.0, 1.0))
     at = int(np.argmax(angle))
-    return float(angle[at]), probes[at], float(np.median(angle))
+    spacing = float(np.median(angle)) if spacing is None else spacing
+    blind = np.zeros(len(probes), bool)
+    tree = KDTree(probes)
+    for k in np.flatnonzero(angle > max(HOLE, HOLE_OVER_SPACING * spacing)):
+        blind[tree.query_ball_point(probes[k], distance[k])] = True
+    return float(angle[at]), probes[at], spacing, probes[blind]
 
 
 def _disk(count: int) -> FloatArray:

@@ -46,8 +46,9 @@ class Measured:
     value: FloatArray
 
     @staticmethod
-    def of(table: Table, seed: int) -> Measured:
-        keep = _measured(table)
+    def of(table: Table, seed: int, *, usable: bool = False) -> Measured:
+        """Of the measured samples, or with ``usable`` of those only that the table does not mask."""
+        keep = table.mask if usable else _measured(table)
         rows = np.flatnonzero(keep)
         if table.grid is not None and len(rows) > MOST_CELLS:
             drawn = np.random.default_rng(seed).choice(len(rows), MOST_CELLS, replace=False)

@@ -158,6 +158,11 @@ class Scatter:
     by_channel: FloatArray
     over_sigma: float | None
 
+    @property
+    def enough(self) -> bool:
+        """Whether the geometries are enough to state the repeatability."""
+        return self.degrees >= FEWEST_DEGREES and bool(np.isfinite(self.relative))
+
 
 def scatter(measured: Measured) -> Scatter | None:
     """Pooled over all geometries that were measured more than once, None where there are none."""
@@ -193,6 +198,17 @@ def scatter(measured: Measured) -> Scatter | None:
     return Scatter(len(size), int((size - 1).sum()), pooled, by_channel, over)
 
 
+def estimate(repeated: Scatter | None, neighbours: Smoothness | None) -> Noise | None:
+    """Noise of one sample: from repeated geometries, else the bound from smoothness; None for neither."""
+    floor = float("nan") if neighbours is None else neighbours.floor
+    relative = float("nan") if neighbours is None else neighbours.relative
+    if repeated is not None and repeated.enough:
+        relative = repeated.relative
+    if not np.isfinite(relative):
+        return None
+    return Noise(relative, floor if np.isfinite(floor) else 0.0)
+
+
 def repeatability(found: Scatter | None) -> Finding:
     """The finding about repeated geometries."""
     name = "repeatability"
@@ -204,7 +220,7 @@ def repeatability(found: Scatter | None) -> Finding:
         "relative_sd_by_channel": found.by_channel, "scatter_over_sigma": found.over_sigma,
     }  # fmt: skip
     repeated = counted(found.groups, "geometry was", "geometries were")
-    if found.degrees < FEWEST_DEGREES or not np.isfinite(found.relative):
+    if not found.enough:
         return not_judged(
             name, f"{repeated} measured more than once: too few to state the repeatability.", **numbers
         )

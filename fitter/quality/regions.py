@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.quality.finding import Finding, counted, degrees, not_judged
+from fitter.quality.finding import Finding, counted, degrees, not_judged, percent
 from fitter.quality.hemispheres import Hemisphere, grid_incidences
 from fitter.quality.measured import AT_NORMAL, Measured
 from fitter.sampling.grid import GridInterpolant
@@ -20,8 +20,6 @@ FloatArray = NDArray[np.float64]
 GRAZING = float(np.deg2rad(75.0))
 #: No sample within this angle (radians) of a direction: it was not seen.
 BLIND = float(np.deg2rad(3.0))
-#: An empty circle of this radius (radians), and so many times as wide as samples are apart, is a hole.
-HOLE, HOLE_OVER_SPACING = float(np.deg2rad(8.0)), 3.5
 #: Azimuth differences further apart than this (radians) leave a gap.
 AZIMUTH_GAP = float(np.deg2rad(50.0))
 _RINGS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
@@ -85,9 +83,15 @@ def blind_spots(measured: Measured) -> Finding:
         "within_deg": float(np.rad2deg(BLIND)),
     }  # fmt: skip
     seen: list[str] = []
-    for missing, what in ((retro, "direction towards the light"), (mirror, "mirror direction")):
+    for missing, what, key in (
+        (retro, "direction towards the light", "retro_deg"), (mirror, "mirror direction", "mirror_deg"),
+    ):  # fmt: skip
         if 2 * len(missing) > len(rows):
-            seen.append(f"the {what} at {len(missing)} of {counted(len(rows), 'incidence', 'incidences')}")
+            of = f"{len(missing)} of {counted(len(rows), 'incidence', 'incidences')}"
+            near = np.array([row[key] for row in missing], np.float64)  # None is not a number
+            near = near[np.isfinite(near)]
+            nearest = f" (the nearest typically {np.median(near):.2g}° away)" if len(near) else ""
+            seen.append(f"the {what} at {of}{nearest}")
     if not seen:
         sentence = "The directions towards the light and of mirror reflection were measured as a rule."
         return Finding(name, "ok", sentence, numbers)
@@ -106,12 +110,13 @@ def holes(found: Sequence[Hemisphere]) -> Finding:
     rows = [
         {
             "theta_i_deg": np.rad2deg(one.theta_i), "radius_deg": np.rad2deg(one.hole),
-            "spacing_deg": np.rad2deg(one.spacing), "hole": _is_hole(one),
+            "spacing_deg": np.rad2deg(one.spacing), "hole": one.is_hole, "blind_share": one.blind,
         }
         for one in areas
     ]  # fmt: skip
-    open_ones = [one for one in areas if _is_hole(one)]
-    numbers: dict[str, Any] = {"incidences": rows, "with_holes": len(open_ones)}
+    open_ones = [one for one in areas if one.is_hole]
+    share = float(np.mean([one.blind for one in areas]))
+    numbers: dict[str, Any] = {"incidences": rows, "with_holes": len(open_ones), "blind_share": share}
     if not open_ones:
         return Finding(name, "ok", "There are no holes in the measured region.", numbers)
     worst = max(open_ones, key=lambda one: one.hole)
@@ -124,15 +129,11 @@ def holes(found: Sequence[Hemisphere]) -> Finding:
     }  # fmt: skip
     place = f"theta_o = {degrees(float(theta))}, dphi = {degrees(turn)}"
     sentence = (
-        f"The measured region has holes at {len(open_ones)} of {len(areas)} incidences looked at; the "
-        f"largest is {degrees(worst.hole)} in radius, at theta_i = {degrees(worst.theta_i)} around "
-        f"{'the direction towards the light' if light else place}."
+        f"The measured region has holes at {len(open_ones)} of {len(areas)} incidences looked at, "
+        f"{percent(share)} of it (cosine-weighted); the largest is {degrees(worst.hole)} in radius, at "
+        f"theta_i = {degrees(worst.theta_i)} around {'the direction towards the light' if light else place}."
     )
     return Finding(name, "notice", sentence, numbers)
-
-
-def _is_hole(one: Hemisphere) -> bool:
-    return one.hole > HOLE and one.hole > HOLE_OVER_SPACING * one.spacing
 
 
 def _incidences(measured: Measured) -> list[tuple[float, FloatArray, NDArray[np.intp] | None]]:

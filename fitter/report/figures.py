@@ -67,11 +67,11 @@ def styled(axes: Axes) -> None:
 def logarithmic(axes: Axes) -> None:
     """A logarithmic y axis with plain text for its powers (matplotlib would parse a formula for each)."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+    axes.yaxis.set_major_formatter(FuncFormatter(power_of_ten))
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _power_of_ten(value: float, position: int | None = None) -> str:
+def power_of_ten(value: float, position: int | None = None) -> str:
     del position
     return significant(value, 1) if 0.001 <= value < 10_000 else f"1e{round(math.log10(value))}"
 

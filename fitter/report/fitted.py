@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fitter.compression import CompressedTable
 from fitter.errors import SpecError
+from fitter.report.plane import spread
 from fitter.table import Channel, Table
 
 if TYPE_CHECKING:
@@ -96,11 +97,6 @@ def evaluated(model: ReflectanceModel, wi: FloatArray, wo: FloatArray) -> FloatA
     n = len(wi)
     padding = ((0, max(1024, 1 << (n - 1).bit_length()) - n), (0, 0))
     return np.asarray(model.evaluate(np.pad(wi, padding, mode="edge"), np.pad(wo, padding, mode="edge")))[:n]
-
-
-def spread(count: int, most: int) -> tuple[int, ...]:
-    """At most ``most`` of the positions 0 to ``count`` - 1, the ends among them, evenly spaced."""
-    return tuple(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist())
 
 
 def thin(index: IndexArray, size: int, seed: int) -> IndexArray:

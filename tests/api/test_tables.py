@@ -149,6 +149,16 @@ def test_pickles_are_not_opened(client: Any, table: str) -> None:
     assert answer.json()["code"] == "bad-npy"
 
 
+def test_picture_is_a_png(client: Any, table: str) -> None:
+    path = client.get(f"/v1/tables/{table}").json()["links"]["picture"]
+    answer = client.get(path)
+    assert answer.status_code == 200
+    assert answer.headers["content-type"] == "image/png"
+    assert answer.content.startswith(b"\x89PNG")
+    assert client.get("/v1/tables/none/picture.png").headers["content-type"] == "application/problem+json"
+    assert client.get("/v1/tables/none/picture.png").status_code == 404
+
+
 def test_check_is_the_librarys(client: Any, table: str, same: fitter.Table) -> None:
     assert client.get(f"/v1/tables/{table}").json()["links"]["check"] == f"/v1/tables/{table}/check"
     found = client.get(f"/v1/tables/{table}/check?seed=3").json()

@@ -19,6 +19,7 @@ import pytest
 import fitter
 from fitter import datasets
 from fitter.models import check
+from fitter.quality import overview
 from fitter.spec import OPTIONS, ModelSpec
 from tests.cli.conftest import Run, process
 
@@ -38,6 +39,38 @@ def test_info_of_a_folder(run: Run, tmp_path: Path) -> None:
     assert document["kind"] == "brdf-fitter/tables"
     assert [table["name"] for table in document["tables"]] == ["diffuse_plaster", "glossy_paint"]
     assert run("info", tmp_path, "--item", "glossy_paint", "--json").document["name"] == "glossy_paint"
+
+
+def test_info_says_noise_and_blind_spots(run: Run, plaster: Path) -> None:
+    document = run("info", plaster, "--json").document
+    expected = overview(fitter.load(plaster))
+    assert document["noise"] == expected["noise"]
+    assert document["blind_spots"]["share"] == expected["blind_spots"]["share"]
+    assert "picture" not in document
+    text = run("info", plaster).out
+    assert expected["noise"]["sentence"] in text
+    assert all(sentence in text for sentence in expected["blind_spots"]["sentences"])
+
+
+def test_info_draws(run: Run, tmp_path: Path, plaster: Path) -> None:
+    document = run("info", plaster, "--plot", tmp_path / "new", "--json").document
+    assert document["picture"] == str(tmp_path / "new" / "diffuse_plaster.png")
+    assert Path(document["picture"]).read_bytes().startswith(b"\x89PNG")
+    assert run("info", plaster, "--plot", tmp_path / "new").out.count("diffuse_plaster.png") == 1
+
+
+def test_info_draws_every_table_under_a_name_of_its_own(run: Run, tmp_path: Path) -> None:
+    rows = "theta_i_deg,theta_o_deg,dphi_deg,brdf,item\n" + "".join(
+        f"30,{theta},180,0.{theta},{item}\n" for item in ("a/b", "a b", "A_b") for theta in (10, 20, 30)
+    )
+    (tmp_path / "several.csv").write_text(rows)
+    tables = run("info", tmp_path / "several.csv", "--plot", tmp_path / "out", "--json").document["tables"]
+    names = [Path(one["picture"]).name for one in tables]
+    assert names == ["several_a_b.png", "several_a_b-2.png", "several_A_b-3.png"]
+    assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())
+    (tmp_path / "file").write_text("x")
+    refused = run("info", tmp_path / "several.csv", "--plot", tmp_path / "file", "--json")
+    assert (refused.status, refused.document["error"]["parameter"]) == (2, "plot")
 
 
 def test_info_takes_reading_options(run: Run, tmp_path: Path) -> None:
@@ -184,7 +217,8 @@ def test_models_check(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_datasets(run: Run, tmp_path: Path) -> None:
     listed = run("datasets", "list", "--json").document["datasets"]
     assert {one["name"] for one in listed} == set(datasets.samples())
-    assert run("datasets").out.count("\n") == len(listed)
+    text = run("datasets").out
+    assert all(f"\n  {one['name']} " in text and one["description"] in text for one in listed)
     copied = run("datasets", "copy", "diffuse_plaster", "--out", tmp_path / "new", "--json").document["paths"]
     assert [hashlib.sha256(Path(path).read_bytes()).digest() for path in copied] == [
         hashlib.sha256(datasets.sample("diffuse_plaster").read_bytes()).digest()

@@ -1,25 +1,49 @@
-"""``brdf-fitter info``: what a file holds, as it was understood."""
+"""``brdf-fitter info``: what a file holds, as it was understood, and its picture."""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
 from fitter.cli.screen import Screen, number
+from fitter.cli.values import output_folder
 from fitter.cli.verb import Outcome, Verb
+
+if TYPE_CHECKING:
+    from fitter.table import Table
+
+
+#: What the file's values are, for people.
+_QUANTITIES = {
+    "brdf": "f_r in 1/sr, without the cosine",
+    "ccbrdf": "the file held f_r cos theta_o; values are divided by the cosine",
+    "reflectance_factor": "the file held pi f_r; values are divided by pi",
+}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE", help="a file, a folder or a zip archive of measured tables")
+    parser.add_argument(
+        "--plot", metavar="DIR",
+        help="draw every table as DIR/NAME.png: polar slices, angles covered, scattered hemispheres",
+    )  # fmt: skip
     reading.add_reading_options(parser)
 
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.formats import describe, load_all
+    from fitter.quality import overview
 
+    folder = None if given.plot is None else output_folder(given.plot, "plot")
     tables = load_all(given.table, **reading.reading_options(given).to_dict())
-    described: list[dict[str, Any]] = [dict(describe(table)) for table in tables]
+    described: list[dict[str, Any]] = [{**describe(table), **overview(table)} for table in tables]
+    if folder is not None:
+        for one, path in zip(described, _draw(tables, folder, screen), strict=True):
+            one["picture"] = str(path)
 
     def show(screen: Screen) -> None:
         for k, one in enumerate(described):
@@ -33,8 +57,11 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
 
 def _show(described: dict[str, Any], screen: Screen) -> None:
-    drawn = ("channels", "peaks", "notes")
-    screen.fields(_flat({name: value for name, value in described.items() if name not in drawn}))
+    drawn = ("channels", "peaks", "notes", "noise", "blind_spots")
+    fields = {name: value for name, value in described.items() if name not in drawn}
+    fields["quantity"] = f"{described['quantity']} ({_QUANTITIES[described['quantity']]})"
+    fields["grid"] = described["grid"] or "none: scattered samples"
+    screen.fields(_flat(fields))
     columns = ("channel", "wavelength nm", "least 1/sr", "median 1/sr", "largest 1/sr")
     keys = ("name", "wavelength_nm", "min_per_sr", "median_per_sr", "max_per_sr")
     screen.line()
@@ -47,10 +74,34 @@ def _show(described: dict[str, Any], screen: Screen) -> None:
             columns,
             [[number(p["theta_i_deg"]), *(_peak(p[side]) for side in sides)] for p in described["peaks"]],
         )
+    screen.line()
+    for sentence in (described["noise"]["sentence"], *described["blind_spots"]["sentences"]):
+        screen.line(f"- {sentence}")
     if described["notes"]:
         screen.line()
         for note in described["notes"]:
             screen.line(f"- {note}")
+
+
+def _draw(tables: Sequence[Table], folder: Path, screen: Screen) -> list[Path]:
+    """Write the picture of each table; the files, each with a name of its own."""
+    from fitter.documents import write_bytes
+    from fitter.report.portrait import portrait
+    from fitter.report.portrait_figure import draw, png
+
+    paths: list[Path] = []
+    taken: set[str] = set()
+    with screen.progress("drawing") as progress:
+        for k, table in enumerate(tables):
+            progress(k / len(tables), table.metadata.name)
+            stem = re.sub(r"[^\w.+-]+", "_", table.metadata.name).strip("._")[:80] or "table"
+            name = stem
+            while name.lower() in taken:  # some file systems take A and a for one
+                name = f"{stem}-{len(taken) + 1}"
+            taken.add(name.lower())
+            paths.append(folder / f"{name}.png")
+            write_bytes(png(draw(portrait(table))), paths[-1])
+    return paths
 
 
 def _peak(peak: dict[str, float] | None) -> str:
