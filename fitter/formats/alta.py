@@ -54,20 +54,15 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             "RUSIN_TH_TD_PD does not say which direction the cosine belongs to", "table-parametrisation",
             row=rows_of["PARAM_IN"], column="PARAM_IN", remedy="convert the values to INV_STERADIAN",
         )  # fmt: skip
-    numbered = [
-        (n, line)
-        for n, line in enumerate(source.lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered:
+    numbered = np.flatnonzero([line.lstrip()[:1] not in ("", "#") for line in source.lines]) + 1
+    if not len(numbered):
         raise source.error(
             "the file has a header but no rows", "table-empty", row=len(source.lines),
             cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     channels = _channels(keys, outputs)
     rows = Rows(
-        source, [line for _, line in numbered], np.asarray([n for n, _ in numbered], np.intp), None,
-        [*names, *(c.name for c in channels)],
+        source, [source.lines[n - 1] for n in numbered], numbered, None, [*names, *(c.name for c in channels)]
     )  # fmt: skip
     numbers = rows.floats(range(inputs + outputs))
     geometry = geometry_of(source, options, rows, numbers[:, :inputs])
