@@ -54,8 +54,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         rest = bytes(data[last : last + 1])
     if rest:
         raise source.error(
-            "the file goes on after its last value", "table-header", cause="the counts don't fit the values",
-            remedy="fetch the file again",
+            "the file goes on after its last value", "table-header", column="MBSDF_DATA",
+            cause="the counts don't fit the values", remedy="fetch the file again",
         )  # fmt: skip
     if theta < 2 or phi < 2:
         raise source.error(
@@ -152,15 +152,15 @@ def _block(source: Source, at: int) -> tuple[tuple[int, int, int], int]:
         kind, theta, phi = _BLOCK.unpack_from(source.buffer, at)
     if kind > 1:
         raise source.error(
-            f"the block has the unknown type {kind}", "table-header", cause="a damaged header",
-            remedy="fetch the file again",
+            f"the block has the unknown type {kind}", "table-header", column="type",
+            cause="a damaged header", remedy="fetch the file again",
         )  # fmt: skip
     channels = 3 if kind == 1 else 1
     end = at + _BLOCK.size + 4 * theta * theta * phi * channels
     if end > source.size:
         raise source.error(
             f"the header claims {theta} x {theta} x {phi} cells of {channels} values, {end:,} bytes, and the "
-            f"file has {source.size:,}", "table-truncated", cause="the file is cut off",
-            remedy="fetch the file again",
+            f"file has {source.size:,}", "table-truncated", column="MBSDF_DATA",
+            cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     return (channels, theta, phi), end

@@ -48,7 +48,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if source.size != _bytes(dims):
         raise source.error(
             f"the header claims {' x '.join(map(str, dims))} cells, {_bytes(dims):,} bytes, "
-            f"and the file has {source.size:,}", "table-truncated",
+            f"and the file has {source.size:,}", "table-truncated", column="dimensions",
             cause="the file is cut off" if source.size < _bytes(dims) else "the file is not a MERL binary",
             remedy="fetch the file again",
         )  # fmt: skip

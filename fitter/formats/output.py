@@ -56,6 +56,8 @@ def measured(table: Table) -> tuple[Samples, list[Loss]]:
     """
     keep = table.mask | ((table.value < 0).any(axis=1) & np.isfinite(table.value).all(axis=1))
     keep |= table.repeats & np.isfinite(table.value).all(axis=1)
+    if table.fills is not None:
+        keep &= ~table.fills
     index = np.flatnonzero(keep)
     wi, wo = table.directions(index)
     above = (wi[:, 2] > 0) & (wo[:, 2] >= 0)

@@ -11,7 +11,7 @@ import numpy as np
 from fitter.errors import SpecError
 from fitter.formats.loading import load
 from fitter.formats.registry import Loss, formats
-from fitter.table import Table
+from fitter.table import FILL, Table
 
 #: Relative change of a value, or change of a direction, up to which it counts as the same number.
 SAME = 1e-12
@@ -38,7 +38,10 @@ def write(table: Table, path: str | os.PathLike[str], format: str = "delimited")
         )  # fmt: skip
     losses = entry.write(table, Path(path))
     kept = "keep" if (table.value[table.mask] < 0).any() else "mask"
-    back = load(path, negatives=kept, duplicates="keep" if table.repeats[table.mask].any() else "mask")
+    again = "keep" if table.repeats[table.mask].any() else "mask"
+    back = load(path, negatives=kept, duplicates=again)
+    if int(back.mask.sum()) < int(table.mask.sum()) and back.metadata.masked.get(FILL):
+        back = load(path, negatives=kept, duplicates=again, fills="keep")
     said = {loss.code for loss in losses}
     if "resampled" in said:
         said |= {"samples", "grid"}

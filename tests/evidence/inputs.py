@@ -46,7 +46,7 @@ class Input:
     measured: bool = False
 
     def sources(self, damaged: str, data: bytes) -> list[BytesIO]:
-        """Its files with the one called ``damaged`` replaced by ``data``, as :func:`fitter.load_all` takes them."""
+        """Its files, the one called ``damaged`` replaced by ``data``, open as a reader takes them."""
         found: list[BytesIO] = []
         for name, content in self.files.items():
             file = BytesIO(data if name == damaged else content)
@@ -58,7 +58,7 @@ class Input:
 @cache
 def inputs() -> tuple[Input, ...]:
     """All of them; the measured ones are those of the folder BRDF_SHARED, or of ../shared."""
-    return tuple([*_measured(), *_made()])
+    return (*_measured(), *_made())
 
 
 def formats() -> list[str]:

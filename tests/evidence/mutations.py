@@ -1,4 +1,4 @@
-"""Damage to the bytes of a file, as copying, editing and transfers do it: each kind a function of a generator.
+"""Damage to the bytes of a file, as copying, editing and transfers do it; drawn from a generator.
 
 Half of the damage of a kind goes to the first 2,000 bytes, where headers are.
 """
@@ -163,7 +163,7 @@ MUTATIONS: Mapping[str, Mutation] = {
 
 
 def mutate(data: bytes, other: bytes, rng: Rng) -> tuple[str, bytes]:
-    """``(kind, damaged bytes)``: ``data`` damaged in one way drawn from ``MUTATIONS``, now and then in two."""
+    """``(kind, damaged bytes)``: ``data`` damaged in one way of ``MUTATIONS``, at times in two."""
     names = list(MUTATIONS)
     name = names[int(rng.integers(len(names)))]
     changed = MUTATIONS[name](data, other, rng)

@@ -12,8 +12,8 @@ def head() -> list[str]:
     return [
         "# Evidence",
         "",
-        "The long studies of the models and the formats, as `make evidence` runs them. The same figures with every setting",
-        "are in [evidence.json](evidence.json); the studies are in `tests/evidence`.",
+        "The long studies of the models and the formats, as `make evidence` runs them. The same figures with",
+        "every setting are in [evidence.json](evidence.json); the studies are in `tests/evidence`.",
         "",
     ]
 

@@ -37,7 +37,8 @@ def run(chosen: Sequence[Study], names: Sequence[str], share: float, seed: int) 
         "share": share, "seed": seed, "seconds": time.perf_counter() - began, **machine.describe(),
         "studies": [
             {
-                "name": study.name, "title": study.title, "claim": study.claim, "columns": study.columns, "subject": study.subject,
+                "name": study.name, "title": study.title, "claim": study.claim, "columns": study.columns,
+                "subject": study.subject,
                 "skipped": {} if names else dict(study.skipped),
                 "rows": [rows[study.name][name] for one, name in work if one is study],
             }

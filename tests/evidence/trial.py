@@ -1,4 +1,4 @@
-"""One damaged file, read: what became of it, how long it took and how much memory. Runs in a process of its own.
+"""One damaged file, read: what became of it, how long it took and how much memory it needed.
 
 ``python -m tests.evidence.trial NAME SEED NUMBER [OUT]`` makes one again, and writes the damaged file to OUT.
 """
@@ -28,7 +28,7 @@ from tests.evidence.mutations import mutate
 
 #: Address space of the process that reads, bytes: a header that claims more must not get it.
 ADDRESS_SPACE = 6 << 30
-#: Memory beyond the result: so many times the file, and what the interpreter takes for any file, however small.
+#: Memory beyond the result: so many times the file, and so many bytes for whatever a file is.
 TIMES, ALLOWANCE = 4, 1 << 20
 
 
@@ -63,7 +63,7 @@ def trial(one: Input, seed: int, number: int) -> dict[str, Any]:
         # Its traceback keeps what was read; all of that counts.
         record |= {"outcome": "error", "code": error.code, "placed": _placed(error)}
         wrong += _of_error(error, one)
-    except BaseException as error:  # noqa: BLE001  Whatever it is, it is the finding.
+    except BaseException as error:  # Whatever it is, it is the finding.
         wrong.append(_told(error))
     record["seconds"] = time.perf_counter() - began
     kept, peak = tracemalloc.get_traced_memory()
@@ -78,7 +78,7 @@ def trial(one: Input, seed: int, number: int) -> dict[str, Any]:
             warnings.simplefilter("error")
             for table in tables:
                 wrong += _of_table(table)
-    except BaseException as error:  # noqa: BLE001
+    except BaseException as error:
         wrong.append(f"of the table: {_told(error)}")
     if wrong:
         record |= {"outcome": "fault", "what": "; ".join(wrong)}
@@ -111,7 +111,7 @@ def _of_error(error: TableError, one: Input) -> list[str]:
 
 def _of_table(table: Table) -> list[str]:
     n = len(table)
-    usable = table.mask
+    usable, counted = table.mask, sum(table.metadata.masked.values())
     wi, wo = table.directions(np.flatnonzero(usable))
     checks = {
         "a usable value is not finite": bool(np.isfinite(table.value[usable]).all()),
@@ -121,7 +121,7 @@ def _of_table(table: Table) -> list[str]:
             bool((np.abs(np.linalg.norm(w, axis=1) - 1) < 1e-6).all()) for w in (wi, wo)
         ),
         "a usable direction is below the horizon": bool((wi[:, 2] > 0).all() and (wo[:, 2] >= 0).all()),
-        "the masked samples are not all counted": int(usable.sum()) + sum(table.metadata.masked.values()) == n,
+        "the masked samples are not all counted": int(usable.sum()) + counted == n,
         "a usable sigma is not positive": table.sigma is None or bool((table.sigma[usable] > 0).all()),
     }  # fmt: skip
     wrong = [what for what, holds in checks.items() if not holds]

@@ -50,7 +50,7 @@ class TestZemax:
         assert (table.wo[[2, 8], 0] * [1, -1] > 0).all()
         assert table.channels[0].wavelength_nm == 633
         assert table.symmetry == "isotropic"
-        assert table.metadata.masked == {"marked unusable by its source": 2, "repeated geometry": 4}
+        assert table.metadata.masked == {"fill value": 1, "below the horizon": 1, "repeated geometry": 4}
         assert not table.mask[[16, 17]].any()
         assert table.metadata.provenance["TIS"] == {"Monochrome": [0.1, 0.2]}
 
