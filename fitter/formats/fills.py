@@ -29,8 +29,9 @@ _IMPOSSIBLE = 1e10
 _FEWEST, _APART = 3, 10.0
 #: Zeros of one incidence, and measured samples beside them, from which on a cut is told from chance.
 _FEWEST_ZEROS = 5
-#: The samples just before a cut lie within this angle (radians) of it, no lower than so much of their median.
-_BESIDE, _STEADY = float(np.deg2rad(10.0)), 0.25
+#: Samples within this angle (radians) of a cut, and the line through them, are no lower than so much of their
+#: median.
+_BESIDE, _STEADY = float(np.deg2rad(15.0)), 0.25
 #: Rounded values fall to zero by themselves: a cut falls from so many of their last digits.
 _DIGITS = 10
 _INCIDENCE = 1e-4
@@ -100,13 +101,23 @@ def find_fills(
     return Found(rows | constant, tuple(notes))
 
 
+def no_data(value: FloatArray, option: Fills) -> tuple[BoolArray | None, tuple[str, ...]]:
+    """Numbers for "no data" among ``value`` (n, C), and sentences, for grids whose directions stay unmade."""
+    notes: list[str] = []
+    if option == "keep":
+        return None, ()
+    rows = _sentinels(value, np.ones(len(value), bool), notes)
+    return (rows if rows.any() else None), tuple(notes)
+
+
 def trailing_zeros(values: FloatArray, axis: int) -> BoolArray:
     """Zeros of ``values`` (..., C) with nothing but zeros after them along ``axis``, in every channel.
 
     Tables of polar grids about the specular direction are filled so where the grid leaves the measured part.
     """
-    zero = np.logical_and.reduce(values == 0, axis=-1)
-    return np.flip(np.logical_and.accumulate(np.flip(zero, axis), axis), axis)
+    zero = np.logical_and.reduce(values == 0, axis=-1, keepdims=True)
+    after = np.flip(np.logical_and.accumulate(np.flip(zero, axis), axis), axis)
+    return np.asarray(after[..., 0])
 
 
 def repeated(value: FloatArray, cos_o: FloatArray) -> Repeated | None:
@@ -144,28 +155,33 @@ def _sentinels(value: FloatArray, usable: BoolArray, notes: list[str]) -> BoolAr
     told: dict[float, BoolArray] = {}
     for column in value.T:
         left = usable & np.isfinite(column)
-        # One file may have several: -999 for one reason, -9999 for another.
-        for _ in range(4):
-            size = np.abs(np.where(left, column, 0.0))
-            largest = float(size.max(initial=0.0))
-            here = left & (size == largest)
-            if largest == 0 or not _is_sentinel(column, here, left, largest):
-                break
-            for number in np.unique(column[here]).tolist():
-                told[number] = told.get(number, np.zeros(len(value), bool)) | (here & (column == number))
-            rows |= here
-            left &= ~here
+        for sign in (-1.0, 1.0):
+            # One file may have several: -999 for one reason, -9999 for another.
+            while (number := _outermost(sign * column, left, sign)) is not None:
+                here = left & (column == number)
+                told[number] = told.get(number, np.zeros(len(value), bool)) | here
+                rows |= here
+                left &= ~here
     notes += [_told(which, f"the number {number:g}, written for no data") for number, which in told.items()]
     return rows
 
 
-def _is_sentinel(column: FloatArray, here: BoolArray, left: BoolArray, largest: float) -> bool:
-    same = column[here]
-    if largest < _IMPOSSIBLE and not np.isin(same, _NO_DATA).all():
-        return False
-    rest = np.abs(column[left & ~here])
+def _outermost(column: FloatArray, left: BoolArray, sign: float) -> float | None:
+    """The largest of ``column`` (n,), times ``sign``, if it is a number for "no data" and not a measured one.
+
+    A negative number is held against other negative ones: no reflectance is any of them.
+    """
+    there = column[left]
+    if not len(there):
+        return None
+    largest = float(there.max())
+    if largest < _IMPOSSIBLE and sign * largest not in _NO_DATA:
+        return None
+    rest = there[there < largest]
     # A table of nothing else has no measure of what is large.
-    return len(same) >= _FEWEST and len(rest) > 0 and largest >= _APART * float(rest.max())
+    if len(there) - len(rest) < _FEWEST or not len(rest) or largest < _APART * float(rest.max()):
+        return None
+    return sign * largest
 
 
 def _beyond_a_cut(value: FloatArray, wi: FloatArray, wo: FloatArray, usable: BoolArray) -> BoolArray:
@@ -199,9 +215,15 @@ def _is_cut(
     first, _ = directions.spherical_from_vector(wo[zeros])
     if float(first.min()) <= last + 1e-9:
         return False
-    beside = level[others[theta > last - _BESIDE]]
-    lowest, typical = float(np.nanmin(beside)), float(np.nanmedian(beside))
-    return lowest > 0 and lowest >= _STEADY * typical and lowest >= _DIGITS * digit
+    near = theta > last - _BESIDE
+    beside, at = level[others[near]], theta[near]
+    if not np.isfinite(beside).all():
+        return False
+    lowest, typical = float(beside.min()), float(np.median(beside))
+    # Where their line leads to by the first zero: what fades away gets there by itself.
+    slope = float(np.polyfit(at, beside, 1)[0]) if np.ptp(at) > 1e-3 else 0.0
+    expected = float(beside.mean()) + slope * (float(first.min()) - float(at.mean()))
+    return min(lowest, expected) >= max(_STEADY * typical, _DIGITS * digit) and lowest > 0
 
 
 def _last_digit(value: FloatArray) -> float:
@@ -237,7 +259,8 @@ def _floors(
         found = repeated(column[here], wo[here, 2]) if here.any() else None
         if found is None or found.kind not in (("zero", "floor") if every else ("floor",)):
             continue
-        if every or found.count >= _FLOOR_FEWEST:
+        clear = found.count >= _FLOOR_FEWEST and found.value >= _DIGITS * _last_digit(column[here])
+        if every or clear:
             rows |= here & (_rounded(column) == found.value)
     return rows
 

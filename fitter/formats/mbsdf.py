@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fitter.formats.assemble import Reading, build, stated_quantity, to_brdf
+from fitter.formats.fills import no_data
 from fitter.formats.output import unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
@@ -67,6 +68,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     with np.errstate(invalid="ignore"):
         value = stored.astype(np.float64)
     notes.append("A value belongs to the centre of its cell; azimuths between pi and 2 pi mirror the rest.")
+    fills, about_fills = no_data(value, options.fills)
+    notes += about_fills
     if quantity != "brdf":
         cos_o = np.cos(np.broadcast_to(grid.axes["theta_o"][None, :, None], grid.shape)).reshape(-1)
         value = to_brdf(value, quantity, cos_o)
@@ -76,7 +79,11 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         NAME, quantity, value, named,
         provenance={"cells": list(grid.shape), **({"metadata": metadata} if metadata else {})},
     )  # fmt: skip
-    return [build(source, options, reading, "center", notes, value=value, grid=grid, symmetric=True)]
+    return [
+        build(
+            source, options, reading, "center", notes, value=value, grid=grid, fills=fills, symmetric=True
+        )
+    ]  # fmt: skip
 
 
 def write(table: Table, path: Path) -> list[Loss]:
