@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats.assemble import Reading, build
-from fitter.formats.output import unwritable, write_aside
+from fitter.formats.output import refuse_in_plane, unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
@@ -107,6 +107,7 @@ def write(table: Table, path: Path) -> list[Loss]:
                 "a MERL file holds isotropic surfaces and the table is anisotropic",
                 "use delimited text",
             )
+        refuse_in_plane(table, "a MERL file")
         cells, usable = _resampled(table, merl_grid(DIMS))
         losses.append(
             Loss(

@@ -85,6 +85,15 @@ def one_or_tristimulus(table: Table, format: str) -> bool:
     )  # fmt: skip
 
 
+def refuse_in_plane(table: Table, file: str) -> None:
+    """Raise TableError for a table of the plane of incidence only, which would be made up beside it."""
+    if table.domain.in_plane:
+        raise unwritable(
+            table, f"{file} holds the whole hemisphere and the table only the plane of incidence",
+            "use delimited text, or fit a model",
+        )  # fmt: skip
+
+
 def unwritable(table: Table, message: str, remedy: str) -> TableError:
     """A TableError for a table that a format can't hold."""
     return TableError(

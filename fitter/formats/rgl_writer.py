@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
-from fitter.formats.output import one_line, unwritable, write_aside
+from fitter.formats.output import one_line, refuse_in_plane, unwritable, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.tensor_file import tensor_bytes
 from fitter.table import Channel, Table
@@ -53,11 +53,7 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     wavelengths.
     """
     order, losses = _channels(table)
-    if table.domain.in_plane:
-        raise unwritable(
-            table, "an RGL file holds the whole hemisphere and the table only the plane of incidence",
-            "use delimited text, or fit a model",
-        )  # fmt: skip
+    refuse_in_plane(table, "an RGL file")
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))

@@ -41,7 +41,9 @@ def write(table: Table, path: str | os.PathLike[str], format: str = "delimited")
     again = "keep" if table.repeats[table.mask].any() else "mask"
     back = load(path, negatives=kept, duplicates=again)
     if int(back.mask.sum()) < int(table.mask.sum()) and back.metadata.masked.get(FILL):
-        back = load(path, negatives=kept, duplicates=again, fills="keep")
+        unmasked = load(path, negatives=kept, duplicates=again, fills="keep")
+        # What this table keeps as measured, and not what the format itself writes for no data.
+        back = unmasked if int(unmasked.mask.sum()) <= int(table.mask.sum()) else back
     said = {loss.code for loss in losses}
     if "resampled" in said:
         said |= {"samples", "grid"}
