@@ -10,6 +10,7 @@ import numpy as np
 
 from fitter.errors import SpecError
 from fitter.formats.loading import load
+from fitter.formats.output import one_line
 from fitter.formats.registry import Loss, formats
 from fitter.table import FILL, Table
 
@@ -68,6 +69,8 @@ def _compared(table: Table, back: Table) -> list[Loss]:
         lost("symmetry", f"The file reads as {back.symmetry}, the table is {table.symmetry}.")
     if table.grid is not None and (back.grid is None or back.grid.system != table.grid.system):
         lost("grid", f"The {table.grid.system} grid is not in the file, only its samples.")
+    if table.metadata.name and one_line(table.metadata.name) != back.metadata.name:
+        lost("name", "The table's name is not in the file.")
     for name in ("scale_uncertainty", "angle_uncertainty", "aperture"):
         if getattr(table.metadata, name) is not None and getattr(back.metadata, name) is None:
             lost(name, f"The {name.replace('_', ' ')} is not in the file.")
