@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from tests.evidence.inputs import Input, formats, inputs
@@ -25,13 +25,19 @@ LONGEST = 30.0
 _TOLD = 5
 
 
-def records(one: Input, seed: int, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
-    """The record of each numbered mutation (:func:`tests.evidence.trial.trial`), hangs and crashes too."""
+def records(
+    one: Input, seed: int, numbers: Sequence[int], *, target: Callable[..., None] = work,
+    longest: float = LONGEST,
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """The record of each numbered mutation (:func:`tests.evidence.trial.trial`), hangs and crashes too.
+
+    target : what the process does, as :func:`tests.evidence.trial.work`.
+    """
     context = multiprocessing.get_context("spawn")
     left = list(numbers)
     while left:
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=work, args=(theirs, one.name, seed, left))
+        process = context.Process(target=target, args=(theirs, one.name, seed, left))
         process.start()
         theirs.close()
         try:
@@ -39,9 +45,9 @@ def records(one: Input, seed: int, numbers: Sequence[int]) -> Iterator[dict[str,
             ours.poll(20 * LONGEST)
             ours.recv()
             while left:
-                if not ours.poll(LONGEST):
+                if not ours.poll(longest):
                     process.kill()
-                    yield {"number": left.pop(0), "outcome": "fault", "what": f"longer than {LONGEST:g} s"}
+                    yield {"number": left.pop(0), "outcome": "fault", "what": f"longer than {longest:g} s"}
                     break
                 record = ours.recv()
                 left.remove(record["number"])
