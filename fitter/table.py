@@ -77,6 +77,9 @@ class Domain:
 SAME_DIRECTION = 1e-6
 
 
+#: Reasons for a mask that can't be found out from the table itself.
+MARKED, FILL = "marked unusable by its source", "fill value"
+
 #: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
 HORIZON = 1e-9
 
@@ -92,6 +95,7 @@ class Table:
     channels : names or :class:`Channel`; default "value", "R G B" for three, else "c0", "c1", ...
     grid : the product grid the samples lie on, or None when scattered.
     mask : (N,) False for samples the caller knows to be unusable.
+    fills : (N,) True for samples that hold a fill value instead of a measured one.
     negatives : "mask" (the default) or "keep": whether negative values count as usable.
     duplicates : "mask" (all but the first of each geometry, the default) or "keep".
 
@@ -100,9 +104,10 @@ class Table:
     A viewer exactly on the horizon is usable as a measured value, though every model returns 0 there; a light
     on the horizon gives no irradiance, and f_r is undefined.
 
+    fills : (N,) as given, or None.
     mask : (N,) True where usable. Masked samples keep their values and are counted by reason in
-        ``metadata.masked``: non-finite or negative values, directions below the horizon, sigma that is
-        not positive, repeated geometries.
+        ``metadata.masked``: fill values, non-finite or negative values, directions below the horizon, sigma
+        that is not positive, repeated geometries.
 
     Raises
     ------
@@ -119,6 +124,7 @@ class Table:
         channels: Sequence[str | Channel] | None = None,
         grid: Grid | None = None,
         mask: ArrayLike | None = None,
+        fills: ArrayLike | None = None,
         symmetry: Symmetry | None = None,
         metadata: Metadata | None = None,
         negatives: Literal["mask", "keep"] = "mask",
@@ -140,7 +146,8 @@ class Table:
                 parameter="sigma", remedy="give one standard uncertainty per value",
             )  # fmt: skip
         self.channels = _channels(channels, self.value.shape[1])
-        reasons = self._reasons(mask, negatives, duplicates)
+        self.fills: BoolArray | None = None if fills is None else np.asarray(fills, bool)
+        reasons = self._reasons(mask, self.fills, negatives, duplicates)
         self.mask: BoolArray = np.ones(n, bool)
         counts = dict(self.metadata.masked)
         for reason, bad in reasons.items():
@@ -188,16 +195,20 @@ class Table:
             pair.append(w)
         return pair[0], pair[1]
 
-    def _reasons(self, mask: ArrayLike | None, negatives: str, duplicates: str) -> dict[str, BoolArray]:
+    def _reasons(
+        self, mask: ArrayLike | None, fills: ArrayLike | None, negatives: str, duplicates: str
+    ) -> dict[str, BoolArray]:
         n = len(self.value)
         reasons: dict[str, BoolArray] = {}
-        if mask is not None:
-            given = np.asarray(mask, bool)
+        for name, flags, reason in (("mask", mask, MARKED), ("fills", fills, FILL)):
+            if flags is None:
+                continue
+            given = np.asarray(flags, bool)
             if given.shape != (n,):
                 raise self._error(
-                    f"mask has shape {given.shape}, expected ({n},)", "table-shape", parameter="mask"
+                    f"{name} has shape {given.shape}, expected ({n},)", "table-shape", parameter=name
                 )
-            reasons["marked unusable by its source"] = ~given
+            reasons[reason] = ~given if name == "mask" else given
         reasons["missing or not finite"] = ~_every(np.isfinite(self.value))
         if negatives == "mask":
             reasons["negative"] = ~_every(~(self.value < 0))

@@ -28,6 +28,7 @@ from api.tables import parse
 from fitter import directions
 from fitter.documents import dumps
 from fitter.formats.describe import describe
+from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, Treatment, read_options
 from fitter.table import Quantity
 
@@ -52,6 +53,9 @@ class ReadingOptions(BaseModel):
     )  # fmt: skip
     negatives: Treatment = Field("mask", description="whether negative values are used")
     duplicates: Treatment = Field("mask", description="whether repeated geometries are used")
+    fills: Fills = Field(
+        "mask", description="fill values; `floors` masks repeated zeros and constant lowest values, too"
+    )
     name: Label | None = Field(None, description="what to call it; default what the file says")
 
 

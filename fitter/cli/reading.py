@@ -44,13 +44,17 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--duplicates", choices=("mask", "keep"), help="repeated geometries: mask (default) or keep"
     )
+    group.add_argument(
+        "--fills", choices=("mask", "keep", "floors"),
+        help="fill values: mask (default) or keep; floors: repeated zeros and constant lowest values, too",
+    )  # fmt: skip
 
 
 def reading_options(given: argparse.Namespace) -> ReadOptions:
     """The options that :func:`add_reading_options` added. Raises SpecError."""
     from fitter.formats import read_options
 
-    names = ("quantity", "convention", "item", "negatives", "duplicates")
+    names = ("quantity", "convention", "item", "negatives", "duplicates", "fills")
     chosen: dict[str, Any] = {name: getattr(given, name) for name in names}
     if given.column:
         chosen["columns"] = dict(given.column)

@@ -133,21 +133,17 @@ def _intervals(
 
 def _text(source: Source, labels: list[str], intervals: tuple[int, ...]) -> tuple[Rows, FloatArray]:
     """The rows of a text, and their inputs and outputs."""
-    numbered = [
-        (n, line)
-        for n, line in enumerate(source.lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered:
+    numbered = np.flatnonzero([line.lstrip()[:1] not in ("", "#") for line in source.lines]) + 1
+    if not len(numbered):
         raise source.error(
             "the file has a header but no rows", "table-empty", row=len(source.lines),
             cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
-    more = len(numbered[0][1].split()) - len(labels)
+    lines = [source.lines[n - 1] for n in numbered]
+    more = len(lines[0].split()) - len(labels)
     count = more if more in intervals else intervals[0]
     rows = Rows(
-        source, [line for _, line in numbered], np.asarray([n for n, _ in numbered], np.intp), None,
-        [*labels, *(f"interval {k + 1}" for k in range(count))],
+        source, lines, numbered, None, [*labels, *(f"interval {k + 1}" for k in range(count))],
     )  # fmt: skip
     return rows, rows.floats(range(len(labels)))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import TableError
+from fitter.formats.fills import find_fills
 from fitter.formats.geometry import Geometry
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
@@ -33,7 +34,8 @@ TRISTIMULUS = "The channels are CIE tristimulus values, not spectral bands."
 class Reading:
     """What a reader found out about one table, before conversion.
 
-    value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None.
+    value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None. filled : (n,) what the
+    format itself marks as fill values, or None.
     statements : what the file says beside the samples (scale_uncertainty, aperture, ...; radians).
     text : whether the file is text, of which an open last line may mean that it is cut off.
     """
@@ -44,6 +46,7 @@ class Reading:
     channels: Sequence[Channel]
     sigma: FloatArray | None = None
     usable: NDArray[np.bool_] | None = None
+    filled: NDArray[np.bool_] | None = None
     symmetry: Symmetry | None = None
     name: str = ""
     item: str | None = None
@@ -73,7 +76,16 @@ def assemble(
             f"{int((cos_o == 0).sum())} rows lie on the horizon, where a cosine-weighted value gives no "
             "BRDF: they count as missing."
         )
-    zeros = int(np.count_nonzero(value[slice(None) if reading.usable is None else reading.usable] == 0))
+    fills = None
+    if options.fills != "keep":
+        found = find_fills(
+            reading.value, reading.quantity, geometry.wi, geometry.wo, stated=reading.filled,
+            floors=options.fills == "floors",
+        )  # fmt: skip
+        fills = found.rows if found.rows.any() else None
+        notes += found.notes
+    kept = np.ones(len(value), bool) if reading.usable is None else reading.usable
+    zeros = int(np.count_nonzero(value[kept if fills is None else kept & ~fills] == 0))
     if zeros:
         notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
     if reading.text and not source.ends_in_newline:
@@ -89,10 +101,11 @@ def assemble(
         value = value[order]
         sigma = None if sigma is None else sigma[order]
         usable = None if usable is None else usable[order]
+        fills = None if fills is None else fills[order]
     directions = {} if grid is not None else {"wi": geometry.wi, "wo": geometry.wo}
     return build(
         source, options, reading, geometry.convention, notes, value=value, sigma=sigma, mask=usable,
-        grid=None if grid is None else grid[0], symmetric=geometry.symmetric, **directions,
+        fills=fills, grid=None if grid is None else grid[0], symmetric=geometry.symmetric, **directions,
     )  # fmt: skip
 
 

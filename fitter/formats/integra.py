@@ -19,6 +19,7 @@ from fitter import directions
 from fitter.formats import geometry as geo
 from fitter.formats import specular
 from fitter.formats.assemble import ABOUT_SPECULAR, QUANTITY_REMEDY, Reading, assemble, stated_quantity
+from fitter.formats.fills import trailing_zeros
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
@@ -85,8 +86,10 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if factors:
         notes.append("Values were multiplied by the kbdf of their incidence.")
     notes.append("The form is that of a transmission file (.ddt) too: nothing in it tells them apart.")
+    stacked = np.stack(values, axis=-1)
     reading = Reading(
-        NAME, quantity, np.stack([v.reshape(-1) for v in values], axis=1), channels,
+        NAME, quantity, stacked.reshape(-1, len(channels)), channels,
+        filled=trailing_zeros(stacked, -2).reshape(-1),
         symmetry="isotropic" if len(psi) == 1 else "anisotropic",
         provenance={**head.words, "comments": tokens.comments, "kbdf": factors}, notes=tuple(notes),
     )  # fmt: skip

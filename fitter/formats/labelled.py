@@ -38,7 +38,7 @@ class Labelled:
 
 
 def labelled(table: Table) -> Labelled:
-    """``table`` as float64 variables and attributes: :func:`fitter.formats.arrays.tables_of` makes it again."""
+    """``table`` as float64 variables and attributes: :mod:`fitter.formats.arrays` makes it again."""
     content = sheet(table)
     axes: dict[str, FloatArray] = {}
     if table.grid is not None:

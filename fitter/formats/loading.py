@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol, TypeAlias, cast
 
 from fitter.errors import SpecError, TableError
+from fitter.formats.fills import Fills
 from fitter.formats.held import Held, held
 from fitter.formats.read_options import ReadOptions, Treatment
 from fitter.formats.registry import Format, detect
@@ -50,6 +51,7 @@ def load(
     columns: Mapping[str | int, str] | None = None,
     negatives: Treatment = "mask",
     duplicates: Treatment = "mask",
+    fills: Fills = "mask",
     name: str | None = None,
 ) -> Table:
     """The one table in ``source``: a path, bytes or an open binary file, of any registered format.
@@ -65,6 +67,7 @@ def load(
         position from 0.
     columns : declared columns: header name or 0-based position -> meaning, as "theta_i_deg", "brdf_R".
     negatives, duplicates : "mask" or "keep", as in :class:`fitter.Table`.
+    fills : fill values: "mask", "keep", or "floors": repeated zeros and constant lowest values, too.
     name : what to call the table; default what the file says, else the file's name.
 
     Raises
@@ -74,7 +77,7 @@ def load(
     """
     tables = load_all(
         source, quantity=quantity, convention=convention, item=item, columns=columns, negatives=negatives,
-        duplicates=duplicates, name=name,
+        duplicates=duplicates, fills=fills, name=name,
     )  # fmt: skip
     if len(tables) > 1:
         labels = [_label(table) for table in tables]
@@ -96,6 +99,7 @@ def load_all(
     columns: Mapping[str | int, str] | None = None,
     negatives: Treatment = "mask",
     duplicates: Treatment = "mask",
+    fills: Fills = "mask",
     name: str | None = None,
 ) -> list[Table]:
     """Every table in a file, folder (its visible files, by name), zip archive, data frame or list of these.
@@ -109,7 +113,7 @@ def load_all(
     """
     options = ReadOptions(
         quantity=quantity, convention=convention, item=item, columns=columns or (),  # type: ignore[arg-type]
-        negatives=negatives, duplicates=duplicates, name=name,
+        negatives=negatives, duplicates=duplicates, fills=fills, name=name,
     )  # fmt: skip
     # A slot for each file in turn; the files of one spread-out measurement share the first one's.
     slots: list[list[Table]] = []

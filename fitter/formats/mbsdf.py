@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fitter.formats.assemble import Reading, build, stated_quantity, to_brdf
+from fitter.formats.fills import no_data
 from fitter.formats.output import unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
@@ -54,8 +55,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         rest = bytes(data[last : last + 1])
     if rest:
         raise source.error(
-            "the file goes on after its last value", "table-header", cause="the counts don't fit the values",
-            remedy="fetch the file again",
+            "the file goes on after its last value", "table-header", column="MBSDF_DATA",
+            cause="the counts don't fit the values", remedy="fetch the file again",
         )  # fmt: skip
     if theta < 2 or phi < 2:
         raise source.error(
@@ -67,6 +68,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     with np.errstate(invalid="ignore"):
         value = stored.astype(np.float64)
     notes.append("A value belongs to the centre of its cell; azimuths between pi and 2 pi mirror the rest.")
+    fills, about_fills = no_data(value, options.fills)
+    notes += about_fills
     if quantity != "brdf":
         cos_o = np.cos(np.broadcast_to(grid.axes["theta_o"][None, :, None], grid.shape)).reshape(-1)
         value = to_brdf(value, quantity, cos_o)
@@ -76,7 +79,11 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         NAME, quantity, value, named,
         provenance={"cells": list(grid.shape), **({"metadata": metadata} if metadata else {})},
     )  # fmt: skip
-    return [build(source, options, reading, "center", notes, value=value, grid=grid, symmetric=True)]
+    return [
+        build(
+            source, options, reading, "center", notes, value=value, grid=grid, fills=fills, symmetric=True
+        )
+    ]  # fmt: skip
 
 
 def write(table: Table, path: Path) -> list[Loss]:
@@ -152,15 +159,15 @@ def _block(source: Source, at: int) -> tuple[tuple[int, int, int], int]:
         kind, theta, phi = _BLOCK.unpack_from(source.buffer, at)
     if kind > 1:
         raise source.error(
-            f"the block has the unknown type {kind}", "table-header", cause="a damaged header",
-            remedy="fetch the file again",
+            f"the block has the unknown type {kind}", "table-header", column="type",
+            cause="a damaged header", remedy="fetch the file again",
         )  # fmt: skip
     channels = 3 if kind == 1 else 1
     end = at + _BLOCK.size + 4 * theta * theta * phi * channels
     if end > source.size:
         raise source.error(
             f"the header claims {theta} x {theta} x {phi} cells of {channels} values, {end:,} bytes, and the "
-            f"file has {source.size:,}", "table-truncated", cause="the file is cut off",
-            remedy="fetch the file again",
+            f"file has {source.size:,}", "table-truncated", column="MBSDF_DATA",
+            cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     return (channels, theta, phi), end

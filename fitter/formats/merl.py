@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats.assemble import Reading, build
-from fitter.formats.output import unwritable, write_aside
+from fitter.formats.output import refuse_in_plane, unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
@@ -48,7 +48,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if source.size != _bytes(dims):
         raise source.error(
             f"the header claims {' x '.join(map(str, dims))} cells, {_bytes(dims):,} bytes, "
-            f"and the file has {source.size:,}", "table-truncated",
+            f"and the file has {source.size:,}", "table-truncated", column="dimensions",
             cause="the file is cut off" if source.size < _bytes(dims) else "the file is not a MERL binary",
             remedy="fetch the file again",
         )  # fmt: skip
@@ -107,6 +107,7 @@ def write(table: Table, path: Path) -> list[Loss]:
                 "a MERL file holds isotropic surfaces and the table is anisotropic",
                 "use delimited text",
             )
+        refuse_in_plane(table, "a MERL file")
         cells, usable = _resampled(table, merl_grid(DIMS))
         losses.append(
             Loss(

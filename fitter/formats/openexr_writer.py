@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.formats.output import refuse_one_plane, unwritable, write_aside
+from fitter.formats.output import refuse_in_plane, unwritable, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.tabular_writer import sheet
 from fitter.grid import Grid
@@ -102,7 +102,7 @@ def _file(said: Mapping[str, str], where: list[dict[str, float]], stacks: Mappin
 
 def _resampled(table: Table) -> tuple[Table, Loss]:
     """The table interpolated on a grid of incidences, and how far that is from its own samples."""
-    refuse_one_plane(table, "slices hold")
+    refuse_in_plane(table, "a file of slices")
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     theta, phi = directions.spherical_from_vector(wi)

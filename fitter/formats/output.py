@@ -56,6 +56,8 @@ def measured(table: Table) -> tuple[Samples, list[Loss]]:
     """
     keep = table.mask | ((table.value < 0).any(axis=1) & np.isfinite(table.value).all(axis=1))
     keep |= table.repeats & np.isfinite(table.value).all(axis=1)
+    if table.fills is not None:
+        keep &= ~table.fills
     index = np.flatnonzero(keep)
     wi, wo = table.directions(index)
     above = (wi[:, 2] > 0) & (wo[:, 2] >= 0)
@@ -83,20 +85,17 @@ def one_or_tristimulus(table: Table, format: str) -> bool:
     )  # fmt: skip
 
 
+def refuse_in_plane(table: Table, file: str) -> None:
+    """Raise TableError for a table of the plane of incidence only, which would be made up beside it."""
+    if table.domain.in_plane:
+        raise unwritable(
+            table, f"{file} holds the whole hemisphere and the table only the plane of incidence",
+            "use delimited text, or fit a model",
+        )  # fmt: skip
+
+
 def unwritable(table: Table, message: str, remedy: str) -> TableError:
     """A TableError for a table that a format can't hold."""
     return TableError(
         message, code="table-unwritable", parameter="format", file=table.metadata.name or None, remedy=remedy
     )
-
-
-def refuse_one_plane(table: Table, what: str) -> None:
-    """Raise TableError for a table of the plane of incidence only: it is never blown up into a hemisphere.
-
-    what : the subject of the sentence, as "an RGL file holds".
-    """
-    if table.domain.in_plane:
-        raise unwritable(
-            table, f"{what} the whole hemisphere and the table only the plane of incidence",
-            "use delimited text, or fit a model",
-        )  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, cast, get_args
 
 from fitter.errors import SpecError
+from fitter.formats.fills import Fills
 from fitter.table import QUANTITIES, Quantity
 
 Treatment = Literal["mask", "keep"]
@@ -36,6 +37,8 @@ class ReadOptions:
     item : which table of a file that holds several: its name, or its position from 0.
     columns : (column, meaning) pairs; a column is a header name or a 0-based position.
     negatives, duplicates : "mask" or "keep", as in :class:`fitter.Table`.
+    fills : fill values (:mod:`fitter.formats.fills`): "mask", "keep", or "floors", which masks repeated zeros
+        and constant lowest values, too.
     name : what to call the table; for bytes without a file name also what errors call them.
 
     Raises
@@ -49,6 +52,7 @@ class ReadOptions:
     columns: tuple[tuple[str, str], ...] = ()
     negatives: Treatment = "mask"
     duplicates: Treatment = "mask"
+    fills: Fills = "mask"
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -57,6 +61,7 @@ class ReadOptions:
         _check("convention", self.convention, tuple(CONVENTIONS), optional=True)
         _check("negatives", self.negatives, get_args(Treatment))
         _check("duplicates", self.duplicates, get_args(Treatment))
+        _check("fills", self.fills, get_args(Fills))
         # bool is an int to Python, not to someone who writes JSON.
         item = cast("object", self.item)  # callers pass on what JSON holds
         if isinstance(item, bool) or not isinstance(item, str | int | None):

@@ -38,6 +38,12 @@ def sniff(head: bytes, size: int) -> float:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """The table of a tensor file. Samples below the horizon are part of the format: masked, counted."""
+    reading, geometry = _reading(source, options)
+    return [assemble(source, options, reading, geometry)]
+
+
+def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometry]:
+    # The warp takes several times the file's size: it ends here, before the table is made.
     quantity, notes = stated_quantity(options, "ccbrdf", "f_r cos theta_o")
     found = fields(source)
     adaptive, channels = adaptive_of(source, found)
@@ -59,8 +65,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         provenance={"description": stated, "shape": list(adaptive.data.shape)}, notes=tuple(notes),
         text=False,
     )  # fmt: skip
-    geometry = geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic)
-    return [assemble(source, options, reading, geometry)]
+    return reading, geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic)
 
 
 FORMAT = Format(NAME, "EPFL RGL tensor file, RGB or spectral", (), sniff, read, write=write_rgl)

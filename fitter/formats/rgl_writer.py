@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
-from fitter.formats.output import one_line, refuse_one_plane, unwritable, write_aside
+from fitter.formats.output import one_line, refuse_in_plane, unwritable, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.tensor_file import tensor_bytes
 from fitter.table import Channel, Table
@@ -53,7 +53,7 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     wavelengths.
     """
     order, losses = _channels(table)
-    refuse_one_plane(table, "an RGL file holds")
+    refuse_in_plane(table, "an RGL file")
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))

@@ -90,8 +90,8 @@ class Source:
 
     @cached_property
     def data(self) -> bytes:
-        """All bytes."""
-        return bytes(self.buffer)
+        """All bytes; a copy only where they come from a path."""
+        return self._bytes if self._path is None else bytes(self.buffer)
 
     @property
     def ends_in_newline(self) -> bool:
@@ -116,38 +116,46 @@ class Source:
     @cached_property
     def lines(self) -> list[str]:
         """Lines of a UTF-8 text (a byte order mark is skipped), as an editor numbers them from 1."""
-        data = self.data
-        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        # Decoded straight from the buffer: a copy of the bytes would be one more of the file's size.
+        data = self.buffer
+        if self.head.startswith((b"\xff\xfe", b"\xfe\xff")):
             raise self.error(
                 "the text is UTF-16 encoded", "text-encoding", cause='it was saved as "Unicode text"',
                 remedy="save it as UTF-8",
             )  # fmt: skip
-        at = data.find(b"\0")
-        if at >= 0:
-            raise self.error(
-                f"byte {at + 1} is NUL, which no text has", "text-nul", row=_row_of(data, at),
-                cause="binary data, a UTF-16 text, or a file damaged while it was written",
-                remedy="save the table as UTF-8 text, or fetch the file again",
-            )  # fmt: skip
         try:
-            text = data.decode("utf-8-sig")
+            text = str(data, "utf-8-sig")
         except UnicodeDecodeError as error:
+            self._refuse_nul(bytes(data[: error.start]))
             raise self.error(
                 f"byte 0x{data[error.start]:02x} is not UTF-8", "text-encoding",
-                row=_row_of(data, error.start),
+                row=_row_of(bytes(data[: error.start])),
                 cause="a text in another encoding (Latin-1, Windows-1252), or binary data",
                 remedy="save it as UTF-8",
             ) from error  # fmt: skip
+        if "\0" in text:
+            self._refuse_nul(bytes(data))
         # Not splitlines(): that also breaks at form feeds and other marks no editor counts as a line.
         lines = re.split(r"\r\n|\n|\r", text)
         if lines and not lines[-1]:
             lines.pop()
         return lines
 
+    def _refuse_nul(self, data: bytes) -> None:
+        """Raise TableError where a NUL is in the first bytes ``data`` of a text."""
+        at = data.find(b"\0")
+        if at >= 0:
+            raise self.error(
+                f"byte {at + 1} is NUL, which no text has", "text-nul", row=_row_of(data[:at]),
+                cause="binary data, a UTF-16 text, or a file damaged while it was written",
+                remedy="save the table as UTF-8 text, or fetch the file again",
+            )  # fmt: skip
+
     def error(self, message: str, code: str, **keywords: Any) -> TableError:
         """A TableError that names this file."""
         return TableError(message, code=code, file=self.name, **keywords)
 
 
-def _row_of(data: bytes, at: int) -> int:
-    return len(re.findall(rb"\r\n|\n|\r", data[:at])) + 1
+def _row_of(before: bytes) -> int:
+    """The row that follows the bytes ``before`` it."""
+    return len(re.findall(rb"\r\n|\n|\r", before)) + 1

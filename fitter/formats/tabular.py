@@ -105,7 +105,7 @@ def _system(source: Source, rows: Rows, columns: Mapping[int, Column]) -> str:
     missing = sorted(needed[found[0]] - roles) if found else ["theta_i", "theta_o"]
     if missing:
         raise source.error(
-            f"no column is declared as {', '.join(missing)}", "table-columns",
+            f"no column is declared as {', '.join(missing)}", "table-columns", parameter="columns",
             cause=f"the columns are called {', '.join(rows.names[:12])}",
             remedy=f"name the columns or give columns={{name or position: meaning}}; "
             f"meanings are {VOCABULARY}",
@@ -119,7 +119,7 @@ def _quantity(
     values = [c for c in columns.values() if c.kind == "value"]
     if not values:
         raise source.error(
-            "no column is declared as a value", "table-columns",
+            "no column is declared as a value", "table-columns", parameter="columns",
             remedy="call it brdf, ccbrdf, reflectance_factor or value (with _<channel>), or give columns=",
         )  # fmt: skip
     channels = [c.channel for c in values]

@@ -70,10 +70,12 @@ def sheet(table: Table) -> Sheet:
 
 
 def _unexplained(table: Table) -> NDArray[np.bool_]:
-    """(N,) samples masked by their source alone: those the same arrays without a mask would keep."""
+    """(N,) samples masked by their source alone, or as fill values: a mask has to say so."""
     arrays = {"grid": table.grid} if table.grid is not None else {"wi": table.wi, "wo": table.wo}
     try:
         plain = Table(value=table.value, sigma=table.sigma, **arrays)  # type: ignore[arg-type]
     except TableError:  # nothing would be usable: kept negatives only
         return ~table.mask
-    return plain.mask & ~table.mask
+    unexplained = plain.mask & ~table.mask
+    # A fill value may be negative: a reader that keeps negative values must not take it for one.
+    return unexplained if table.fills is None else unexplained | table.fills

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,7 @@ class Rows:
             except ValueError:
                 pass  # a cell that is no plain number: read again below, slowly, to find and name it
         values = np.empty((len(self), len(use)))
-        for k, cells in enumerate(self.cells()):
+        for k, cells in enumerate(self._cells()):
             for j, column in enumerate(use):
                 values[k, j] = self._number(cells[column], k, column)
         return values
@@ -57,12 +57,15 @@ class Rows:
     def texts(self, column: int) -> list[str]:
         """One column as written, white space stripped."""
         self._check_widths()
-        return [cells[column] for cells in self.cells()]
+        return [cells[column] for cells in self._cells()]
 
-    def cells(self) -> list[list[str]]:
-        """Every cell, stripped of white space and quotes; cells beyond the last column are left out."""
+    def _cells(self) -> Iterator[list[str]]:
+        """Each row's cells, stripped of white space and quotes; cells beyond the last column are left out.
+
+        One row at a time: the cells of a whole file take several times its size.
+        """
         width = len(self.names)
-        return [split(line, self.delimiter)[:width] for line in self.lines]
+        return (split(line, self.delimiter)[:width] for line in self.lines)
 
     def _check_widths(self) -> None:
         width = len(self.names)

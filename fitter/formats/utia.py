@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats.assemble import Reading, build, stated_quantity, to_brdf
+from fitter.formats.fills import no_data
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
@@ -90,10 +91,12 @@ def _table(
         "(some divide by 140, or undo an sRGB curve), so compare the albedo with what is known.",
         "Directions end at 75 deg from the normal: what lies beyond is extrapolated.",
     ]
+    fills, about_fills = no_data(value, options.fills)
+    notes += about_fills
     reading = Reading(NAME, quantity, value, [Channel(c) for c in "RGB"], symmetry="anisotropic")
     return build(
         source, options, reading, convention, notes, value=to_brdf(value, quantity, cos_o), grid=grid,
-        symmetric=False,
+        fills=fills, symmetric=False,
     )  # fmt: skip
 
 

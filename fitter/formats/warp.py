@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
+#: So many points are mapped at a time.
+_POINTS = 256
+
 #: What a value is blended from: images by number, (M,), and their weights, (M,).
 Blend = Sequence[tuple[IndexArray, FloatArray]]
 
@@ -65,15 +68,18 @@ class Warp:
     """
 
     def __init__(self, density: NDArray[np.floating]) -> None:
-        values = np.asarray(density, np.float64)
-        self.shape = values.shape[1:]
-        with np.errstate(over="ignore", invalid="ignore"):
-            marginal = _cumulated(values)[..., -1]
-            total = _cumulated(marginal)[:, -1]
-        if not (np.isfinite(total) & (total > 0)).all():
-            raise ValueError("a density has no finite, positive integral")
-        self._density = values / total[:, None, None]
-        self._along_x = _cumulated(self._density)
+        self.shape = density.shape[1:]
+        self._density = np.empty(density.shape)
+        self._along_x = np.empty(density.shape)
+        # One density at a time: what is computed on the way would be several times the file's size.
+        for k, one in enumerate(density):
+            values = np.asarray(one, np.float64)
+            with np.errstate(over="ignore", invalid="ignore"):
+                total = _cumulated(_cumulated(values)[:, -1])[-1]
+            if not (np.isfinite(total) and total > 0):
+                raise ValueError("a density has no finite, positive integral")
+            self._density[k] = values / total
+            self._along_x[k] = _cumulated(self._density[k])
         self._along_y = _cumulated(self._along_x[..., -1])
 
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,6 +108,14 @@ class Warp:
 
         Where the distribution stands still, s or t = 1 is mapped to where it first gets to 1.
         """
+        found = np.empty((2, len(s)))
+        # Each point takes two rows of the images on the way.
+        for start in range(0, len(s), _POINTS):
+            part = slice(start, start + _POINTS)
+            found[:, part] = self._forward(node, s[part], t[part])
+        return found[0], found[1]
+
+    def _forward(self, node: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         height, width = self.shape
         rows = self._along_x[node, :, -1]
         along = self._along_y[node]

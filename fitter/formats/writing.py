@@ -10,8 +10,9 @@ import numpy as np
 
 from fitter.errors import SpecError
 from fitter.formats.loading import load
+from fitter.formats.output import one_line
 from fitter.formats.registry import Loss, formats
-from fitter.table import Table
+from fitter.table import FILL, Table
 
 #: Relative change of a value, or change of a direction, up to which it counts as the same number.
 SAME = 1e-12
@@ -38,7 +39,12 @@ def write(table: Table, path: str | os.PathLike[str], format: str = "delimited")
         )  # fmt: skip
     losses = entry.write(table, Path(path))
     kept = "keep" if (table.value[table.mask] < 0).any() else "mask"
-    back = load(path, negatives=kept, duplicates="keep" if table.repeats[table.mask].any() else "mask")
+    again = "keep" if table.repeats[table.mask].any() else "mask"
+    back = load(path, negatives=kept, duplicates=again)
+    if int(back.mask.sum()) < int(table.mask.sum()) and back.metadata.masked.get(FILL):
+        unmasked = load(path, negatives=kept, duplicates=again, fills="keep")
+        # What this table keeps as measured, and not what the format itself writes for no data.
+        back = unmasked if int(unmasked.mask.sum()) <= int(table.mask.sum()) else back
     said = {loss.code for loss in losses}
     if "resampled" in said:
         said |= {"samples", "grid"}
@@ -63,6 +69,8 @@ def _compared(table: Table, back: Table) -> list[Loss]:
         lost("symmetry", f"The file reads as {back.symmetry}, the table is {table.symmetry}.")
     if table.grid is not None and (back.grid is None or back.grid.system != table.grid.system):
         lost("grid", f"The {table.grid.system} grid is not in the file, only its samples.")
+    if table.metadata.name and one_line(table.metadata.name) != back.metadata.name:
+        lost("name", "The table's name is not in the file.")
     for name in ("scale_uncertainty", "angle_uncertainty", "aperture"):
         if getattr(table.metadata, name) is not None and getattr(back.metadata, name) is None:
             lost(name, f"The {name.replace('_', ' ')} is not in the file.")

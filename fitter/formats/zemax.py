@@ -12,6 +12,7 @@ from fitter import directions
 from fitter.formats import geometry as geo
 from fitter.formats import specular
 from fitter.formats.assemble import ABOUT_SPECULAR, TRISTIMULUS, Reading, assemble, stated_quantity
+from fitter.formats.fills import trailing_zeros
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
@@ -74,8 +75,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             cause="the counts of the header don't fit", remedy="correct the counts, or fetch the file again",
         )  # fmt: skip
     values = np.stack(list(blocks.values()), axis=-1)
-    fill = np.logical_and.reduce(_fill(values), axis=-1).reshape(-1)
-    notes += _notes(head, tokens, int(fill.sum()))
+    notes += _notes(head, tokens)
     # A sample turned by r under a fixed light sees the light turned by -r.
     r, i, a, s = (c.reshape(-1) for c in np.meshgrid(rotation, incidence, azimuth, radial, indexing="ij"))
     geometry = geo.from_directions(
@@ -92,7 +92,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         if wavelength is not None:
             notes.append(f"The wavelength, {wavelength:g} nm, is from the comments.")
     reading = Reading(
-        NAME, quantity, values.reshape(-1, len(wanted)), channels, usable=~fill,
+        NAME, quantity, values.reshape(-1, len(wanted)), channels,
+        filled=trailing_zeros(values, -2).reshape(-1),
         symmetry="isotropic" if len(rotation) == 1 else "anisotropic",
         provenance={**head.words, "comments": [c for c in tokens.comments if c.strip("=- ")], "TIS": tis},
         notes=tuple(notes),
@@ -150,22 +151,11 @@ def _block(tokens: Tokens, shape: tuple[int, int, int, int]) -> tuple[FloatArray
     return np.concatenate(parts).reshape(shape), tis
 
 
-def _fill(values: FloatArray) -> NDArray[np.bool_]:
-    """Zeros with nothing but zeros after them along the radial axis (the last but one)."""
-    zero = values == 0
-    return np.flip(np.logical_and.accumulate(np.flip(zero, axis=-2), axis=-2), axis=-2)
-
-
-def _notes(head: _Head, tokens: Tokens, fill: int) -> list[str]:
+def _notes(head: _Head, tokens: Tokens) -> list[str]:
     notes = [ABOUT_SPECULAR]
     if len(head.lists["ScatterAzimuth"]) > 1 and head.lists["ScatterRadial"][0] == 0:
         notes.append(
             "Radial 0 is the specular ray itself, given once for each azimuth: the rest count as repeated."
-        )
-    if fill:
-        notes.append(
-            f"{fill} directions have zeros up to the end of their radial line: fill values for what was not "
-            "measured, masked."
         )
     if head.words["Symmetry"] == "PlaneSymmetrical":
         notes.append("The file states symmetry about the plane of incidence; only its half is in the table.")

@@ -44,6 +44,11 @@ def write_zemax(table: Table, path: Path) -> list[Loss]:
     grid, losses = _placed(table), []
     if grid is None:
         grid, losses = _interpolated(table)
+    if table.domain.in_plane:
+        losses.append(
+            Loss("in_plane", "Only the plane of incidence is in the file: programs make up the rest of the "
+                 "hemisphere from it.")
+        )  # fmt: skip
     negative = int(np.count_nonzero(grid.values < 0))
     if negative:
         losses.append(

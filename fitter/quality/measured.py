@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from fitter import directions
-from fitter.table import HORIZON, Table
+from fitter.table import FILL, HORIZON, MARKED, Table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -168,9 +168,11 @@ def _measured(table: Table) -> BoolArray:
     """(N,) usable samples, and with them those left out only as negative or repeated."""
     keep = table.mask.copy()
     out = ~keep & np.isfinite(table.value).all(axis=1)
-    if table.metadata.masked.get("marked unusable by its source"):
+    if table.metadata.masked.get(MARKED) or (table.fills is None and table.metadata.masked.get(FILL)):
         return keep  # which of them the source meant is not recorded
     out &= (table.value < 0).any(axis=1) | table.repeats
+    if table.fills is not None:
+        out &= ~table.fills
     rows = np.flatnonzero(out)
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]

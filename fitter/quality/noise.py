@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from fitter.quality.finding import Finding, counted, graded, not_judged, percent
-from fitter.quality.measured import Measured
+from fitter.quality.measured import Measured, features
 from fitter.table import SAME_DIRECTION
 
 FloatArray = NDArray[np.float64]
@@ -82,11 +83,12 @@ def robust(residual: FloatArray) -> float:
     return float(np.median(found)) / MAD if len(found) else float("nan")
 
 
-def smoothness(measured: Measured) -> Smoothness | None:
+def smoothness(measured: Measured, *, apart: bool = False) -> Smoothness | None:
     """Residual of samples from a plane through their nearest neighbours, None for too few samples.
 
     The plane is fitted by least squares in direction space, in as many dimensions as the neighbours span.
     Of a grid the neighbours are its next nodes along each axis, and the axis that predicts best is taken.
+    apart : samples that differ by a turn of the surface are no neighbours, though it be taken for isotropic.
     """
     if measured.table.grid is not None:
         return _along_axes(measured)
@@ -94,14 +96,15 @@ def smoothness(measured: Measured) -> Smoothness | None:
     if n < _NEIGHBOURS + 2:
         return None
     position = measured.draw(_TARGETS)
-    at = measured.features[position]
-    _, found = measured.tree.query(at, k=_NEIGHBOURS + 1)
+    points = features(measured.wi, measured.wo, isotropic=False) if apart else measured.features
+    at = points[position]
+    _, found = (KDTree(points) if apart else measured.tree).query(at, k=_NEIGHBOURS + 1)
     near = np.asarray(found, np.intp)
     # The sample itself is among its neighbours, not always first: repeated geometries tie with it.
     own = near == position[:, None]
     own[~own.any(axis=1), -1] = True
     near = near[~own].reshape(len(position), _NEIGHBOURS)
-    offset = measured.features[near] - at[:, None, :]
+    offset = points[near] - at[:, None, :]
     scale = np.sqrt((offset**2).sum(axis=2).max(axis=1))
     design = np.concatenate(
         [np.ones((*near.shape, 1)), offset / np.where(scale > 0, scale, 1.0)[:, None, None]], axis=2

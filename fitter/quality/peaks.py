@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.formats.describe import in_plane_peaks
+from fitter.grid import Grid
 from fitter.quality.finding import Finding, not_judged
 from fitter.quality.measured import AT_NORMAL, Measured
 from fitter.sampling.grid import GridInterpolant
@@ -27,6 +28,8 @@ _RISE = 1.2
 _CONTRAST = 2.0
 #: Lobe width over aperture below which the aperture shows, and below which it is mostly what was measured.
 WIDE, NARROW = 3.0, 1.5
+#: A lobe of so few samples may be cut short by noise.
+_FEW = 5
 _MOST_SCANS = 50
 _IN_PLANE = float(np.deg2rad(1.5))
 _FINE = np.deg2rad(np.arange(-89.75, 89.8, 0.25))
@@ -108,14 +111,18 @@ def lobe_width(measured: Measured) -> Finding:
     """Full width at half maximum of the narrowest in-plane lobe against the receiver's aperture."""
     name = "lobe_width"
     aperture = measured.table.metadata.aperture or None
-    found = [one for one in (_width(theta, value) for theta, value in _profiles(measured)) if one is not None]
+    found: list[tuple[float, int | None]] = [
+        one for one in (_width(theta, value) for theta, value in _profiles(measured)) if one is not None
+    ]
+    if measured.table.grid is not None and "theta_o" not in measured.table.grid.axes:
+        found = [(width, None) for width, _ in found]  # of interpolated values the number says nothing
     if not found:
         return not_judged(
             name, "No in-plane lobe falls to half of its maximum on both sides: there is no width to compare "
             "with the receiver's aperture.", fwhm_deg=None,
             aperture_deg=None if aperture is None else np.rad2deg(aperture),
         )  # fmt: skip
-    width, samples = min(found)
+    width, samples = min(found, key=lambda one: one[0])
     numbers: dict[str, Any] = {
         "fwhm_deg": np.rad2deg(width), "lobes": len(found), "samples_in_fwhm": samples,
         "aperture_deg": None if aperture is None else np.rad2deg(aperture),
@@ -129,6 +136,9 @@ def lobe_width(measured: Measured) -> Finding:
         return Finding(name, "notice" if coarse else "ok", sentence, numbers, judged=coarse)
     ratio = width / aperture
     against = f"{shown}{tail}, {ratio:.2g} times the receiver's aperture of {np.rad2deg(aperture):.3g}°"
+    if ratio < 1.0:
+        end = "no instrument shows that: the aperture or the angles are wrong, or the peak is noise"
+        return Finding(name, "warning", f"{against}; {end}.", numbers)
     if ratio < NARROW:
         return Finding(name, "warning", f"{against}: its width is mostly the instrument's.", numbers)
     if ratio < WIDE:
@@ -141,12 +151,15 @@ def _profiles(measured: Measured) -> list[tuple[FloatArray, FloatArray]]:
     grid = measured.table.grid
     if grid is not None:
         table = GridInterpolant(grid, measured.table.value, measured.keep)
-        wo = directions.vector_from_spherical(_FINE, np.pi)
+        signed = _FINE
+        if "theta_o" in grid.axes:  # its own nodes, so that they can be counted
+            nodes = grid.axes["theta_o"]
+            signed = np.unique(np.concatenate([-nodes, nodes]))
+        wo = directions.vector_from_spherical(signed, np.pi)
         found: list[tuple[FloatArray, FloatArray]] = []
-        for theta in np.deg2rad([10.0, 30.0, 45.0, 60.0]):
+        for theta in _grid_incidences(grid):
             value, outside = table.evaluate(directions.vector_from_spherical(theta, 0.0)[None, :], wo)
-            # Samples are not told from interpolation here: the grid's own nodes bend the line.
-            found.append((_FINE[~outside], value[~outside].mean(axis=1)))
+            found.append((signed[~outside], value[~outside].mean(axis=1)))
         return found
     wi, wo = measured.turned
     theta_i, phi_i = directions.spherical_from_vector(wi)
@@ -166,10 +179,31 @@ def _profiles(measured: Measured) -> list[tuple[FloatArray, FloatArray]]:
     return lines
 
 
-def _width(theta: FloatArray, value: FloatArray) -> tuple[float, int | None] | None:
-    """Full width at half maximum (radians) and the samples within; None unless both sides fall to half."""
+def _grid_incidences(grid: Grid) -> FloatArray:
+    """Some theta_i of a grid: its nodes between peaks at the normal and at the horizon, or usual ones."""
+    nodes = grid.axes.get("theta_i")
+    if nodes is None:
+        return np.deg2rad([10.0, 30.0, 45.0, 60.0])
+    inside = nodes[(nodes > np.deg2rad(_FROM_DEG) - 1e-6) & (nodes < np.deg2rad(_TO_DEG))]
+    return inside[np.unique(np.linspace(0, max(len(inside) - 1, 0), 6).round().astype(int))[: len(inside)]]
+
+
+def _width(theta: FloatArray, value: FloatArray) -> tuple[float, int] | None:
+    """Full width at half maximum (radians) and the samples within; None unless both sides fall to half.
+
+    A dip of one sample beside a peak of few is noise and no end of the lobe: medians of three tell.
+    """
     if len(theta) < 5:
         return None
+    found = _full_width(theta, value)
+    if found is None or found[1] > _FEW:
+        return found
+    calm = np.median(np.stack([value[:-2], value[1:-1], value[2:]]), axis=0)
+    # A peak of one sample is all there is of a narrow lobe on a coarse raster.
+    return found if calm.max() < 0.5 * value.max() else _full_width(theta[1:-1], calm)
+
+
+def _full_width(theta: FloatArray, value: FloatArray) -> tuple[float, int] | None:
     top = int(np.argmax(value))
     if value[top] <= 0:
         return None
@@ -184,4 +218,4 @@ def _width(theta: FloatArray, value: FloatArray) -> tuple[float, int | None] | N
         ends.append(float(theta[outer] + t * (theta[inner] - theta[outer])))
     inside = top + int(right[0]) - int(left[-1]) - 1
     width = ends[1] - ends[0]
-    return (width, None if theta is _FINE else inside) if width > 0 else None
+    return (width, inside) if width > 0 else None

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.formats.fills import repeated
 from fitter.quality.finding import Finding, Verdict, counted, not_judged, percent
 from fitter.quality.measured import Measured
+from fitter.table import FILL
 
 FloatArray = NDArray[np.float64]
 
@@ -16,14 +18,10 @@ FloatArray = NDArray[np.float64]
 MANY_NEGATIVE = 0.05
 #: Depth in standard deviations of the noise from which on negatives are no noise.
 DEEP = 3.0
-#: Share of one exactly repeated value that is said, and that is a warning.
-REPEATED, OFTEN_REPEATED = 0.005, 0.05
-#: How much more often than the next ones a value has to occur: rounding makes many values repeat alike.
-_STANDS_OUT = 4
+#: Share of one exactly repeated value that is a warning; that it is said, `fitter.formats.fills` decides.
+OFTEN_REPEATED = 0.05
 _FEWEST = 5
 _HORIZON = float(np.deg2rad(85.0))
-#: A fill value stands at directions whose cosines spread at least this much, not at one direction's cell.
-_SPREAD = 0.05
 _CHUNK = 1 << 18
 
 
@@ -87,24 +85,27 @@ def fill_values(measured: Measured) -> Finding:
         near_horizon = max(near_horizon, int(np.count_nonzero(value[at_horizon] == 0)))
         # A floor is constant in what the instrument wrote: f_r times the cosine where the file held that.
         written = value * cos_o if table.metadata.quantity == "ccbrdf" else value
-        found = _repeated(_rounded(written), cos_o)
+        found = repeated(written, cos_o)
         if found is not None:
-            kind, repeated, count, steepest = found
+            steepest = float(np.rad2deg(np.arccos(np.clip(found.cos_o, -1, 1))))
             rows.append(
                 {
-                    "channel": table.channels[c].name, "kind": kind, "value": repeated, "count": count,
-                    "share": count / n, "theta_o_from_deg": steepest,
+                    "channel": table.channels[c].name, "kind": found.kind, "value": found.value,
+                    "count": found.count, "share": found.count / n, "theta_o_from_deg": steepest,
                 }
             )  # fmt: skip
     numbers: dict[str, Any] = {
         "samples": n, "zeros": zeros, "zeros_beyond_85_deg": near_horizon, "repeated": rows,
         "quantity": table.metadata.quantity,
         "below_the_horizon": int(table.metadata.masked.get("below the horizon", 0)),
+        "masked_as_fill": int(table.metadata.masked.get(FILL, 0)),
     }  # fmt: skip
-    hidden = numbers["below_the_horizon"]
+    hidden, filled = numbers["below_the_horizon"], numbers["masked_as_fill"]
     below = ""
     if hidden:
         below = f"; {counted(hidden, 'sample is', 'samples are')} not above the horizon and left out"
+    if filled:
+        below += f"; {counted(filled, 'fill value was', 'fill values were')} left out on reading"
     if not rows:
         return Finding(name, "ok", f"{_no_fill(zeros, n)}{below}.", numbers)
     worst = max(rows, key=lambda row: row["count"])
@@ -120,7 +121,10 @@ def fill_values(measured: Measured) -> Finding:
         "constant": "the table is that of an ideal diffuser, or was made, not measured",
     }[worst["kind"]]  # fmt: skip
     verdict: Verdict = "warning" if share > OFTEN_REPEATED and worst["kind"] != "constant" else "notice"
-    sentence = f"{worst['count']:,} of {n:,} values of channel {worst['channel']} {what}: {why}{below}."
+    remedy = "; fills='floors' leaves them out" if worst["kind"] in ("zero", "floor") else ""
+    sentence = (
+        f"{worst['count']:,} of {n:,} values of channel {worst['channel']} {what}: {why}{remedy}{below}."
+    )
     return Finding(name, verdict, sentence, numbers)
 
 
@@ -128,42 +132,6 @@ def _no_fill(zeros: int, n: int) -> str:
     if not zeros:
         return "No fill value or constant floor stands out, and no value is exactly 0"
     return f"No constant floor stands out; {counted(zeros, 'value is', 'values are')} exactly 0, of {n:,}"
-
-
-def _rounded(value: FloatArray) -> FloatArray:
-    """To ten significant digits: a cosine was divided out on reading and is multiplied in again."""
-    size = np.where(value != 0, np.abs(value), 1.0)
-    exponent = np.floor(np.log10(size))
-    # Two factors: one alone would overflow for the smallest numbers that float64 holds.
-    half = np.trunc(exponent / 2)
-    scaled = value * 10.0 ** (-half) * 10.0 ** (half - exponent)
-    return np.round(scaled, 9) * 10.0**half * 10.0 ** (exponent - half)
-
-
-def _repeated(value: FloatArray, cos_o: FloatArray) -> tuple[str, float, int, float] | None:
-    """The value that stands out by how often it occurs: what it is, itself, how often, from which theta_o."""
-    unique, count = np.unique(value, return_counts=True)
-    order = np.argsort(-count, kind="stable")
-    top = int(order[0])
-    most = int(count[top])
-    beside = int(count[order[2]]) if len(order) > 2 else 1
-    if most < max(_FEWEST, REPEATED * len(value)) or most <= _STANDS_OUT * beside:
-        return None
-    there = cos_o[value == unique[top]]
-    if float(np.ptp(there)) < _SPREAD:
-        return None
-    positive = unique[unique > 0]
-    if most > 0.95 * len(value):
-        kind = "constant"
-    elif unique[top] == 0:
-        kind = "zero"
-    elif top == 0 or (len(positive) and unique[top] == positive[0]):
-        kind = "floor"
-    elif top == len(unique) - 1:
-        kind = "ceiling"
-    else:
-        kind = "constant"
-    return kind, float(unique[top]), most, float(np.rad2deg(np.arccos(np.clip(there.max(), -1, 1))))
 
 
 def _cosines(measured: Measured) -> FloatArray:

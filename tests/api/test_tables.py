@@ -165,3 +165,27 @@ def test_check_is_the_librarys(client: Any, table: str, same: fitter.Table) -> N
     assert found == fitter.check(same, seed=3).to_dict()
     assert client.get(f"/v1/tables/{table}/check?seed=-1").status_code == 422
     assert client.get("/v1/tables/none/check").status_code == 404
+
+
+def test_what_the_check_suggests_can_be_asked_for(client: Any) -> None:
+    """A file whose azimuths count from the other side and whose gaps are filled, uploaded as it is."""
+    rows = ["# quantity: brdf", "theta_i_deg,theta_o_deg,dphi_deg,brdf"]
+    for theta_i in (15, 30, 45, 60):
+        for theta_o in range(0, 81, 5):
+            for dphi in range(0, 360, 30):
+                f = 0.05 + (2.0 + 0.1 * theta_i if dphi == 0 and theta_i == theta_o else 0.001 * theta_o)
+                rows.append(f"{theta_i},{theta_o},{dphi},{-999 if theta_o == 80 else f}")
+    body = "\n".join([*rows, ""]).encode()
+    first = client.post("/v1/tables", content=body).json()
+    assert first["description"]["masked"]["fill value"] == 4 * 12
+    findings = client.get(f"/v1/tables/{first['id']}/check").json()["findings"]
+    found = {finding["name"]: finding for finding in findings}
+    assert "48 fill values were left out" in found["fill_values"]["sentence"]
+    assert found["convention"]["verdict"] == "warning"
+    suggested = found["convention"]["numbers"]["suggested"]
+    again = client.post(f"/v1/tables?convention={suggested}&fills=keep&negatives=keep", content=body).json()
+    assert "fill value" not in again["description"]["masked"]
+    assert client.post("/v1/tables?fills=drop", content=body).status_code == 422
+    mended = client.post(f"/v1/tables?convention={suggested}", content=body).json()
+    found = client.get(f"/v1/tables/{mended['id']}/check").json()["findings"]
+    assert {finding["name"]: finding["verdict"] for finding in found}["convention"] == "ok"

@@ -12,8 +12,8 @@ def head() -> list[str]:
     return [
         "# Evidence",
         "",
-        "The long studies of the models, as `make evidence` runs them. The same figures with every setting",
-        "are in [evidence.json](evidence.json); the studies are in `tests/evidence`.",
+        "The long studies of the models and the formats, as `make evidence` runs them. The same figures with",
+        "every setting are in [evidence.json](evidence.json); the studies are in `tests/evidence`.",
         "",
     ]
 
@@ -42,7 +42,7 @@ def table(study: Mapping[str, Any]) -> list[str]:
     """One line for each model."""
     columns: Sequence[str] = study["columns"]
     found = [
-        f"| model | {' | '.join(columns)} | violations | s |",
+        f"| {study.get('subject', 'model')} | {' | '.join(columns)} | violations | s |",
         f"|---|{'---|' * len(columns)}---|---|",
     ]
     for row in study["rows"]:

@@ -22,6 +22,8 @@ def run(chosen: Sequence[Study], names: Sequence[str], share: float, seed: int) 
     from tests.bench import machine
 
     began = time.perf_counter()
+    if names:
+        chosen = [study for study in chosen if study.subject == "model"]
     work = [(study, name) for study in chosen for name in names or study.models()]
     rows: dict[str, dict[str, dict[str, Any]]] = {study.name: {} for study in chosen}
     for study, name, row in _rows(work, share, seed):
@@ -36,6 +38,7 @@ def run(chosen: Sequence[Study], names: Sequence[str], share: float, seed: int) 
         "studies": [
             {
                 "name": study.name, "title": study.title, "claim": study.claim, "columns": study.columns,
+                "subject": study.subject,
                 "skipped": {} if names else dict(study.skipped),
                 "rows": [rows[study.name][name] for one, name in work if one is study],
             }

@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a study found out about one model; JSON-ready.
+    """What a study found out about one model (or other subject); JSON-ready.
 
     figures : by column; violations : each a sentence-like record of one point that broke the bound.
     """
@@ -22,10 +22,11 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Study:
-    """One question asked of every model.
+    """One question asked of every model, or of every one of another kind of subject.
 
     claim : what has to hold, in a sentence for the page; judge : (model name, share, seed) -> Outcome, in a
-    process of its own; ``share`` scales the number of points; skipped : model name -> why it is not asked.
+    process of its own; ``share`` scales the number of points; skipped : model name -> why it is not asked;
+    subject : what ``models`` names. A run of chosen models leaves out studies of other subjects.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Study:
     models: Callable[[], Sequence[str]]
     judge: Callable[[str, float, int], Outcome]
     skipped: Mapping[str, str] = field(default_factory=dict[str, str])
+    subject: str = "model"
 
 
 def studies() -> dict[str, Study]:

@@ -165,7 +165,7 @@ class TestZemax:
         np.testing.assert_array_equal(back.mask, table.mask)
         np.testing.assert_allclose(back.wo, table.wo, atol=1e-15)
         assert back.channels[0].wavelength_nm == 633
-        assert {loss.code for loss in losses} <= {"provenance"}
+        assert {loss.code for loss in losses} <= {"provenance", "name"}
 
     def test_rotations_and_tristimulus(self, tmp_path: Path):
         i, p, a, r = (

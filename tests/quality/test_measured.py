@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fitter.formats import load, load_all
 from fitter.quality import check
+from tests.evidence.inputs import PTFE_COLUMNS, inputs
+from tests.evidence.trial import read
 
 pytestmark = pytest.mark.measured
 
@@ -30,12 +33,20 @@ def test_reciprocity_tells_which_quantity_a_tape_holds(shared: Path) -> None:
 
 
 def test_ptfe_is_what_a_diffuser_should_be(shared: Path) -> None:
-    declared = {
-        "lambda": "wavelength_um", "thetai": "theta_i_deg", "phi": "phi_i_deg", "thetar": "theta_o_deg",
-        "phir": "phi_o_deg", "f_r11": "brdf",
-    }  # fmt: skip
-    table = load(shared / "measured/nist_ptfe/PTFE.data.csv", columns=declared, item="633nm")
-    found = check(table)
+    tables = load_all(shared / "measured/nist_ptfe/PTFE.data.csv", columns=PTFE_COLUMNS)
+    assert len(tables) == 4
+    for table in tables:
+        # Near 1/pi away from grazing; its own forward scatter lifts it by a hundredth or two.
+        inner = (table.wi[:, 2] > 0.85) & (table.wo[:, 2] > 0.7)
+        assert np.pi * table.value[inner].mean() == pytest.approx(1.0, abs=0.025)
+        assert np.abs(np.pi * table.value[inner] - 1.0).max() < 0.1
+        reciprocity = check(table)["reciprocity"]
+        assert reciprocity.verdict == "ok"
+        assert reciprocity.numbers["pairs"] >= 20
+        # Within the noise of two samples; at 1064 nm a tenth more.
+        numbers = reciprocity.numbers
+        assert numbers["relative_rms"] < 1.15 * numbers["relative_rms_of_noise"]
+    found = check(load(shared / "measured/nist_ptfe/PTFE.data.csv", columns=PTFE_COLUMNS, item="633nm"))
     assert found["reciprocity"].numbers["relative_rms"] < 0.01
     near_normal = found["reflectance"].numbers["incidences"][0]
     # Sintered PTFE reflects about 0.99 of the light at 633 nm.
@@ -78,3 +89,49 @@ def test_every_material_of_curet(shared: Path) -> None:
         found = check(table)
         assert not any(found[name].judged for name in ("reflectance", "reciprocity", "isotropy", "holes"))
         assert found["convention"].verdict != "warning", table.metadata.name
+
+
+#: Where the in-plane peaks of each measured file belong: paint, metal, film and coating mirror the light,
+#: a tape reflects back, and what is diffuse, or too rough, has no peak.
+PEAKS = {
+    "cornell/garnet_red_RGB.astm": "specular", "mdl/carpaint_blue.mbsdf": "specular",
+    "mwir/aluminium_anodised.csv": "specular", "mwir/brass.csv": "specular",
+    "mwir/lacquer_smooth.csv": "specular", "mwir/stainless_steel.csv": "specular",
+    "mwir/aluminium_sandblasted.csv": None, "nist_ptfe/PTFE.data.csv": None,
+    "retro/retro-3M-jaune.dat": "specular", "retro/retro-gray-tape.dat": "retro",
+    "rgl/aurora_white_rgb.bsdf": "specular", "rgl/cc_ibiza_sunset_rgb.bsdf": "specular",
+    "rgl/cm_military_green_rgb.bsdf": "specular", "rgl/irid_flake_paint1_rgb.bsdf": "specular",
+    "rgl/vch_silk_blue_rgb.bsdf": None, "ua_loft/AnoBlackEC1onAlum.bsdf": "specular",
+    "ua_loft/AnoBlackEC1onAlum.txt": "specular", "ua_loft/AnoBlackNiTEonSteel.bsdf": "specular",
+    "ua_loft/AnoBlackNiTEonSteel.txt": "specular",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PEAKS)
+def test_peaks_and_energy_of_every_file(shared: Path, name: str) -> None:
+    """As read, by the conventions that its format and its source state."""
+    one = next(one for one in inputs() if one.name == name)
+    for table in read(one, one.sources("", b"")):
+        found = check(table)
+        kinds = {row["peak"] for row in found["convention"].numbers["incidences"]}
+        assert found["convention"].verdict != "warning"
+        assert found["convention"].numbers["suggested"] is None
+        if PEAKS[name] is None:
+            # Silk has its specular peak at grazing incidence only, where red is not negative.
+            assert kinds <= {"none", "specular"}
+            assert not found["convention"].judged
+        else:
+            assert PEAKS[name] in kinds
+            assert found["convention"].judged
+            assert PEAKS[name] == "retro" or kinds <= {"none", "specular"}
+        reflectance = found["reflectance"]
+        if reflectance.judged:
+            for row in reflectance.numbers["incidences"]:
+                assert max(row["lower"].values()) < 1.05
+        else:
+            assert table.domain.in_plane
+            assert "can't be judged" in reflectance.sentence
+
+
+def test_every_measured_file_is_among_them(shared: Path) -> None:
+    assert {one.name for one in inputs() if one.measured} == {*PEAKS, "curet/abrdf.dat"}
