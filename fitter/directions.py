@@ -19,7 +19,11 @@ def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
     """Unit vector at polar angle ``theta`` from the normal and azimuth ``phi`` from +x (radians)."""
     theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
     sin_theta = np.sin(theta)
-    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
+    w = np.empty((*theta.shape, 3))
+    np.multiply(sin_theta, np.cos(phi), out=w[..., 0])
+    np.multiply(sin_theta, np.sin(phi), out=w[..., 1])
+    np.cos(theta, out=w[..., 2])
+    return w
 
 
 def spherical_from_vector(w: ArrayLike) -> tuple[Angles, Angles]:

@@ -42,9 +42,8 @@ class _Columns:
     """The columns of a Parquet file, as the tabular reader wants them."""
 
     source: Source
-    file: Any
     names: Sequence[str]
-    numbers: NDArray[np.intp]
+    numbers: range
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -52,7 +51,7 @@ class _Columns:
     def floats(self, use: Sequence[int]) -> FloatArray:
         """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
         arrow = _arrow("pyarrow", self.source)
-        values = np.empty((len(self), len(use)))
+        values = np.empty((len(use), len(self))).T  # each column contiguous
         for j, k in enumerate(use):
             column = self._column(k)
             kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
@@ -80,7 +79,7 @@ class _Columns:
     def _column(self, k: int) -> Any:
         name = self.names[k]
         with _refusing(self.source, name):
-            table = self.file.read(columns=[name], use_threads=False)
+            table = _open(self.source).read(columns=[name], use_threads=False)
             if table.column_names != [name] or table.num_rows != len(self):
                 raise ValueError(f"{table.num_rows} rows of {', '.join(table.column_names)[:80]}")
             return table.column(0)
@@ -88,9 +87,9 @@ class _Columns:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
-    arrow, parquet = _arrow("pyarrow", source), _arrow("pyarrow.parquet", source)
+    source.begin_digest()
     with _refusing(source):
-        file = parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
+        file = _open(source)
         schema, metadata = file.schema_arrow, file.metadata
         rows, names = int(metadata.num_rows), list(schema.names)
         groups = [int(metadata.row_group(k).num_rows) for k in range(metadata.num_row_groups)]
@@ -111,7 +110,8 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
             remedy="give every column its own name",
         )  # fmt: skip
-    columns = _Columns(source, file, names, np.arange(1, rows + 1))
+    columns = _Columns(source, names, range(1, rows + 1))
+    del file  # nothing may hold the bytes when the columns have been read
     return read_columns(source, options, _head(source, said), columns, format=NAME, text=False)
 
 
@@ -142,6 +142,11 @@ FORMAT = Format(
 
 def _arrow(module: str, source: Source | None) -> Any:
     return optional_package(module, "arrow", "Parquet files", None if source is None else source.name)
+
+
+def _open(source: Source) -> Any:
+    arrow, parquet = _arrow("pyarrow", source), _arrow("pyarrow.parquet", source)
+    return parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
 
 
 @contextmanager
