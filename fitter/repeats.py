@@ -36,7 +36,7 @@ def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
 
 
 def _mixed(first: KeyArray, second: KeyArray) -> KeyArray:
-    """One number for both, nearly always another for another pair: multiples of odd numbers without pattern."""
+    """One number for both, nearly always another for another pair: multiples of large odd numbers."""
     return first * np.uint64(0x9E3779B97F4A7C15) + second * np.uint64(0xC2B2AE3D27D4EB4F)
 
 
@@ -51,3 +51,47 @@ def _packed(w: FloatArray) -> KeyArray:
             part *= np.uint64(_LEVELS)
             part += (np.clip(step, -_INFINITE, _INFINITE) + _INFINITE).astype(np.uint64)
     return keys
+
+
+class RepeatEstimate:
+    """How many samples repeat an earlier geometry, from a share of the geometries.
+
+    Which geometries are looked at is told by their mixed keys: all samples of one are, or none, so that its
+    repeats are counted exactly. The share is halved when more than ``most`` samples are kept; until then the
+    number is exact.
+    """
+
+    def __init__(self, most: int = 1 << 20) -> None:
+        self._most = most
+        self._bits = 0
+        self._keys = np.zeros((2, 0), np.uint64)
+
+    def add(self, wi: FloatArray, wo: FloatArray) -> None:
+        """Take note of the pairs (n, 3)."""
+        self._keys = np.concatenate([self._keys, self._few(np.stack([_packed(wi), _packed(wo)]))], axis=1)
+        while self._keys.shape[1] > self._most:
+            self._bits += 1
+            self._keys = self._few(self._keys)
+
+    def _few(self, keys: KeyArray) -> KeyArray:
+        # The high bits: the low ones of a product depend on few of its factors' bits.
+        if not self._bits:
+            return keys
+        return keys[:, _mixed(keys[0], keys[1]) >> np.uint64(64 - self._bits) == 0]
+
+    @property
+    def exact(self) -> bool:
+        """Whether every sample was counted."""
+        return not self._bits
+
+    @property
+    def looked_at(self) -> int:
+        """Samples that were."""
+        return self._keys.shape[1]
+
+    @property
+    def number(self) -> int:
+        """Samples of all that have a geometry which another one had before."""
+        order = np.lexsort(self._keys)
+        same = (self._keys[:, order[1:]] == self._keys[:, order[:-1]]).all(axis=0)
+        return int(np.count_nonzero(same)) << self._bits

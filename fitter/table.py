@@ -272,6 +272,11 @@ class Table:
     def __len__(self) -> int:
         return len(self.value)
 
+    @property
+    def usable(self) -> int:
+        """How many samples are usable."""
+        return int(self.mask.sum())
+
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
         kind = "scattered" if self.grid is None else f"{self.grid.system} grid {self.grid.shape}"

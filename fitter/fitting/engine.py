@@ -21,7 +21,9 @@ from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import polish, support
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import BLOCK, Usable, usable
+from fitter.fitting.streamed import from_file
 from fitter.fitting.writeup import Clock, Group, write_up
+from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
 
@@ -37,7 +39,7 @@ def check(request: FitSpec) -> None:
 
 
 def fit(
-    table: Table | CompressedTable,
+    table: Table | CompressedTable | LargeTable,
     model: FitSpec | ModelSpec | str,
     *,
     metric: Metric | None = None,
@@ -54,7 +56,8 @@ def fit(
 
     Parameters
     ----------
-    table : a Table, or a CompressedTable (then the result says with what tolerance).
+    table : a Table, a CompressedTable (then the result says with what tolerance), or a LargeTable, whose
+        file every pass reads anew.
     model : a short name ("ward", "lafortune:2"), a ModelSpec, or a whole FitSpec, which then rules alone.
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
     progress : called with (share, text); may raise to stop the fit.
@@ -82,7 +85,12 @@ def fit(
     chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
     progress(0.0, "preparing samples")
-    data = usable(table, chosen, request.select, anisotropic=not places.family.isotropic(request.model))
+    turned = not places.family.isotropic(request.model)
+    if isinstance(table, LargeTable):
+        reduction["out_of_core"] = {"sample": len(table.sample), "rows": table.rows}
+        data = from_file(table, chosen, request.select, anisotropic=turned)
+    else:
+        data = usable(table, chosen, request.select, anisotropic=turned)
     groups = channel_groups(request, len(data.channels))
     places = layout(request, len(data.channels))
     _enough(data, places, len(groups[0]))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import functools
 import os
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -22,7 +23,7 @@ from scipy.optimize import lsq_linear
 
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
-from fitter.fitting.samples import Block
+from fitter.fitting.samples import Block, Blocks, total
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
@@ -130,10 +131,10 @@ def _gathered(layout: Layout, scores: Array) -> Array:
 
 
 def normal_equations(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> Normal:
     """The sums over all blocks at the vector p."""
-    t, c = len(layout.entries), blocks[0].y.shape[1]
+    t, c = len(layout.entries), total(blocks)[1]
     u, inner = p[:t], p[t:].reshape(-1, c)
 
     def one(block: Block) -> list[FloatArray]:
@@ -173,21 +174,30 @@ def _moments(
     return jax.lax.map(one, (pairs, goals, weights)).sum(axis=0)
 
 
-def _each(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
+def _each(work: Callable[[Block], T], blocks: Blocks) -> list[T]:
     """``work`` of every block, on threads: compiled programs release the GIL."""
-    if len(blocks) == 1:
+    if isinstance(blocks, Sequence) and len(blocks) == 1:
         return [work(blocks[0])]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(work, blocks))
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        if isinstance(blocks, Sequence):
+            return list(pool.map(work, blocks))
+        done: list[T] = []
+        waiting: deque[Future[T]] = deque()
+        for block in blocks:
+            waiting.append(pool.submit(work, block))
+            if len(waiting) > 2 * threads:  # no more than that are held at a time
+                done.append(waiting.popleft().result())
+        return done + [one.result() for one in waiting]
 
 
 def support(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> FloatArray:
     """(M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the weighted
     derivative x, 1 where one sample carries it all. In a pass of its own: in every pass it would cost two
     thirds more."""
-    t, c = len(layout.entries), blocks[0].y.shape[1]
+    t, c = len(layout.entries), total(blocks)[1]
     u, inner = p[:t], p[t:].reshape(-1, c)
 
     def one(block: Block) -> FloatArray:
@@ -209,7 +219,7 @@ class Polished:
 
 
 def polish(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
     max_passes: int = MAX_PASSES,
 ) -> Polished:  # fmt: skip
     """Levenberg-Marquardt on p = [u, inner] with bounds kept by an active set in every step.
@@ -221,7 +231,8 @@ def polish(
     lower, upper = bounds(layout, len(p))
     p = np.clip(p, lower, upper)
     now = normal_equations(layout, metric, floor, p, blocks)
-    freedom = max(1, sum(block.count for block in blocks) * blocks[0].y.shape[1] - len(p))
+    samples, channels = total(blocks)
+    freedom = max(1, samples * channels - len(p))
     damping, passes = 0.0, 1
     rest = np.zeros_like(now.matrix)
     while passes < max_passes:

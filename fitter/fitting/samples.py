@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,27 @@ class Block:
     goal: FloatArray
     weight: FloatArray
     count: int
+
+
+@runtime_checkable
+class Streamed(Protocol):
+    """Blocks that are made anew on every pass: too many to hold. samples : in all of them; width : C."""
+
+    @property
+    def samples(self) -> int: ...
+    @property
+    def width(self) -> int: ...
+    def __iter__(self) -> Iterator[Block]: ...
+
+
+Blocks: TypeAlias = Sequence[Block] | Streamed
+
+
+def total(blocks: Blocks) -> tuple[int, int]:
+    """(samples, channels) of all blocks."""
+    if isinstance(blocks, Sequence):
+        return sum(block.count for block in blocks), blocks[0].y.shape[1]
+    return blocks.samples, blocks.width
 
 
 @dataclass(frozen=True)
@@ -83,7 +105,12 @@ class Usable:
             count=len(weight),
         )
 
-    def blocks(self, channels: Sequence[int]) -> list[Block]:
+    @property
+    def spread(self) -> float:
+        """Squared differences of the values from their channel's mean, summed."""
+        return float(np.square(self.value - self.value.mean(axis=0)).sum())
+
+    def blocks(self, channels: Sequence[int]) -> Blocks:
         """All samples of the channels."""
         return [
             self.part(channels, slice(start, min(start + BLOCK, len(self))), BLOCK)
@@ -110,8 +137,13 @@ class Usable:
         return index, times / (size * p[index])
 
 
-def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = False) -> Usable:
+def usable(
+    table: Table, metric: Metric, select: Select, *, anisotropic: bool = False,
+    floor: FloatArray | None = None,
+) -> Usable:  # fmt: skip
     """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError.
+
+    ``floor`` : (C,) of the metric, where ``table`` is a part of the one fitted, which may hold none of them.
 
     ``anisotropic`` : of the model. The directions of an isotropic table are one representative each of all
     azimuths; such a model then gets them turned about the normal, evenly, or it would read meaning into the
@@ -142,7 +174,9 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
     sigma = None
     if table.sigma is not None:
         sigma = table.sigma[index] if whole else table.sigma[index][:, list(channels)]
-    floor = np.array([_scale(column) for column in value.T]) * metrics.LOG_FLOOR
+    whole_table = floor is None
+    if floor is None:
+        floor = np.array([typical(column) for column in value.T]) * metrics.LOG_FLOOR
     if metric == "log":
         defined = (value > -floor).all(axis=1)
         left_out["no logarithm"] = int((keep & ~defined).sum())
@@ -150,13 +184,13 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
     if not keep.all():
         wi, wo, value = wi[keep], wo[keep], value[keep]
         sigma = None if sigma is None else sigma[keep]
-    if len(value) == 0:
+    if whole_table and len(value) == 0:
         raise FitError(
             "no usable sample is left to fit", code="nothing-to-fit",
             cause=", ".join(f"{n} {why}" for why, n in left_out.items()) or "all samples are masked",
             remedy="widen the selection, or choose a metric that the values allow",
         )  # fmt: skip
-    if not np.any(value):
+    if whole_table and not np.any(value):
         raise FitError(
             "all values are zero", code="nothing-to-fit", cause="a table of fill values",
             remedy="check the value columns",
@@ -165,8 +199,9 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
         wi, wo = _turned(wi, wo)
     weight = metrics.base_weights(metric, value, sigma, wi[:, 2])
     # Sums of fourth powers have to stay numbers.
-    largest = max(float(np.abs(value).max()), float(np.abs(weight * value).max()))
-    if not 1.0 / LARGEST < largest < LARGEST or float(np.abs(weight).max()) > LARGEST:
+    largest = max(float(np.abs(a).max(initial=0.0)) for a in (value, weight * value))
+    least = 1.0 / LARGEST if whole_table else -1.0
+    if not least < largest < LARGEST or float(np.abs(weight).max(initial=0.0)) > LARGEST:
         raise FitError(
             f"values, or values over their uncertainty, as large as {largest:.3g} can't be fitted",
             code="values-out-of-range", cause="a wrong unit, a fill value, or a sigma that is all but zero",
@@ -191,7 +226,7 @@ def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     return directions.turned(wi, c, s), directions.turned(wo, c, s)
 
 
-def _scale(column: FloatArray) -> float:
+def typical(column: FloatArray) -> float:
     """A typical magnitude: the median |value|, or the mean where most are zero."""
     magnitude = np.abs(column)
     return float(np.median(magnitude)) or float(magnitude.mean()) or 1.0

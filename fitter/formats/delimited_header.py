@@ -38,24 +38,35 @@ def _word_by_word(source: Source) -> tuple[Head, Rows]:
     return head, rows
 
 
-def _plain(source: Source, segment: int = SEGMENT) -> tuple[Head, PlainRows] | None:
-    """The same of a large text that pyarrow can read; None of all others, whatever is wrong with them."""
-    start = source.head[: source.head.rfind(b"\n") + 1]
-    try:
-        lines = start.removeprefix(codecs.BOM_UTF8).decode().replace("\r\n", "\n").split("\n")[:-1]
-        if "\0" in start.decode() or any("\r" in line for line in lines):
-            return None
-        head, rows = _rows(source, lines)
-    except (UnicodeDecodeError, TableError):
-        return None
-    source.begin_digest()  # the sooner it is known, the sooner the text can go
+def head_of(source: Source) -> tuple[int, int, str | None, list[str], Head]:
+    """What begins a large text: the byte and the row where its values begin, delimiter, names, statements.
+
+    Raises TableError where its first bytes hold no row of values.
+    """
+    start = source.head if source.size <= len(source.head) else source.head[: source.head.rfind(b"\n") + 1]
+    first = Source(start, source.name)
+    head, rows = _rows(first, first.lines)
     row = int(rows.numbers[0])
+    ends = re.finditer(rb"\r\n|\n|\r", start)
     at = 0
     for _ in range(row - 1):
-        at = start.index(b"\n", at) + 1
+        at = next(ends).end()
+    mark = codecs.BOM_UTF8
+    at = at or len(mark) * start.startswith(mark)
+    return at, row, rows.delimiter, list(rows.names), head
+
+
+def _plain(source: Source, segment: int = SEGMENT) -> tuple[Head, PlainRows] | None:
+    """The same of a large text that pyarrow can read; None of all others, whatever is wrong with them."""
+    try:
+        start, row, delimiter, names, head = head_of(source)
+    except TableError:
+        return None
+    if re.search(rb"\r(?!\n)", source.head[:start]):
+        return None
+    source.begin_digest()  # the sooner it is known, the sooner the text can go
     plain = plain_rows(
-        source, at or (3 if start.startswith(codecs.BOM_UTF8) else 0), row, rows.delimiter, rows.names,
-        lambda: _word_by_word(source)[1], segment,
+        source, start, row, delimiter, names, lambda: _word_by_word(source)[1], segment
     )  # fmt: skip
     return None if plain is None or head.numbers.get("rows", len(plain)) != len(plain) else (head, plain)
 

@@ -38,7 +38,7 @@ def sniff(head: bytes, size: int) -> float:
 
 
 @dataclass(frozen=True)
-class _Columns:
+class Columns:
     """The columns of a Parquet file, as the tabular reader wants them."""
 
     source: Source
@@ -53,7 +53,7 @@ class _Columns:
         arrow = _arrow("pyarrow", self.source)
         values = np.empty((len(use), len(self))).T  # each column contiguous
         for j, k in enumerate(use):
-            column = self._column(k)
+            column = self.column(k)
             kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
             types = arrow.types
             if not (
@@ -64,7 +64,7 @@ class _Columns:
                     f"the column holds {str(column.type)[:40]}, not numbers", "table-not-a-number",
                     column=self.names[k], remedy="store it as float64, or declare it as 'ignore'",
                 )  # fmt: skip
-            with _refusing(self.source, self.names[k]):
+            with refusing(self.source, self.names[k]):
                 numbers = column.cast(kind).cast(arrow.float64(), safe=False).to_numpy()
             values[:, j] = numbers
         return values
@@ -72,13 +72,14 @@ class _Columns:
     def texts(self, column: int) -> list[str]:
         """One column as text, white space stripped; null is empty."""
         arrow = _arrow("pyarrow", self.source)
-        with _refusing(self.source, self.names[column]):
-            cells = self._column(column).cast(arrow.string()).to_pylist()
+        with refusing(self.source, self.names[column]):
+            cells = self.column(column).cast(arrow.string()).to_pylist()
         return ["" if cell is None else str(cell).strip() for cell in cells]
 
-    def _column(self, k: int) -> Any:
+    def column(self, k: int) -> Any:
+        """Column ``k``, an Arrow chunked array."""
         name = self.names[k]
-        with _refusing(self.source, name):
+        with refusing(self.source, name):
             table = _open(self.source).read(columns=[name], use_threads=False)
             if table.column_names != [name] or table.num_rows != len(self):
                 raise ValueError(f"{table.num_rows} rows of {', '.join(table.column_names)[:80]}")
@@ -88,12 +89,12 @@ class _Columns:
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
     source.begin_digest()
-    with _refusing(source):
+    with refusing(source):
         file = _open(source)
         schema, metadata = file.schema_arrow, file.metadata
         rows, names = int(metadata.num_rows), list(schema.names)
         groups = [int(metadata.row_group(k).num_rows) for k in range(metadata.num_row_groups)]
-        said = _text(metadata.metadata or {})
+        said = statements(metadata.metadata or {})
     if rows < 1 or not names or sum(groups) != rows or min(groups) < 0:
         raise source.error(
             f"the file states {rows:,} rows of {len(names)} columns in {len(groups)} groups", "table-empty",
@@ -110,9 +111,9 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
             remedy="give every column its own name",
         )  # fmt: skip
-    columns = _Columns(source, names, range(1, rows + 1))
+    columns = Columns(source, names, range(1, rows + 1))
     del file  # nothing may hold the bytes when the columns have been read
-    return read_columns(source, options, _head(source, said), columns, format=NAME, text=False)
+    return read_columns(source, options, head_of(source, said), columns, format=NAME, text=False)
 
 
 def write(table: Table, path: Path) -> list[Loss]:
@@ -150,7 +151,7 @@ def _open(source: Source) -> Any:
 
 
 @contextmanager
-def _refusing(source: Source, column: str | None = None) -> Generator[None]:
+def refusing(source: Source, column: str | None = None) -> Generator[None]:
     """Turn what pyarrow raises at damaged bytes into a TableError."""
     try:
         yield
@@ -162,11 +163,13 @@ def _refusing(source: Source, column: str | None = None) -> Generator[None]:
         ) from error  # fmt: skip
 
 
-def _text(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+def statements(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+    """The schema's key-value metadata as text."""
     return {key.decode(): text.decode() for key, text in metadata.items()}
 
 
-def _head(source: Source, said: Mapping[str, str]) -> Head:
+def head_of(source: Source, said: Mapping[str, str]) -> Head:
+    """What the metadata state. Raises TableError where that can't be understood."""
     head = Head()
     for key, text in said.items():
         if key == "notes":
