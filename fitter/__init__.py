@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fitter.compression import CompressedTable, compress
     from fitter.fitting import FitResult, fit, load_fit
     from fitter.formats import load, load_all, write
+    from fitter.large import LargeTable, open_large
     from fitter.posterior import Posterior
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
@@ -26,9 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
-    "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
-    "TableSampler", "__version__", "check", "compress", "fit", "load", "load_all", "load_fit", "models",
-    "posterior", "write",
+    "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table",
+    "TableError", "TableSampler", "__version__", "check", "compress", "fit", "load", "load_all", "load_fit",
+    "models", "open_large", "posterior", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -38,6 +39,7 @@ _LAZY = {
     "load": "fitter.formats", "load_all": "fitter.formats",
     "write": "fitter.formats",
     "Posterior": "fitter.posterior",
+    "LargeTable": "fitter.large", "open_large": "fitter.large",
     "Check": "fitter.quality", "check": "fitter.quality",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",

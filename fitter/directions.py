@@ -19,7 +19,10 @@ Parts = Float[np.ndarray, "..."]
 
 def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
     """Unit vector at polar angle ``theta`` from the normal and azimuth ``phi`` from +x (radians)."""
-    return np.stack(np.broadcast_arrays(*spherical_components(theta, phi)), axis=-1)
+    x, y, z = spherical_components(theta, phi)
+    w = np.empty((*np.broadcast_shapes(x.shape, z.shape), 3))
+    w[..., 0], w[..., 1], w[..., 2] = x, y, z
+    return w
 
 
 def spherical_components(theta: ArrayLike, phi: ArrayLike) -> tuple[Parts, Parts, Parts]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
+from fitter.digest import DigestField, Sha256
 from fitter.errors import TableError
 from fitter.grid import Grid
+from fitter.repeats import STEP, repeated
 from fitter.summary import Summary, summarise
 
 FloatArray = NDArray[np.float64]
@@ -46,13 +48,23 @@ class Metadata:
     source_format: str = "arrays"
     quantity: Quantity = "brdf"
     convention: str = ""
-    sha256: str = ""
+    sha256: Sha256 = DigestField()  # noqa: RUF009  # reads as str; a file's may still be on its way
     scale_uncertainty: float | None = None
     angle_uncertainty: float | None = None
     aperture: float | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     masked: Mapping[str, int] = field(default_factory=dict[str, int])
     notes: tuple[str, ...] = ()
+
+    def but(self, **changes: Any) -> Metadata:
+        """A copy with other values, as ``dataclasses.replace``, that does not wait for ``sha256``."""
+        return Metadata(**{**vars(self), **changes})
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "sha256": self.sha256}  # no thread can be pickled
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
 
 
 @dataclass(frozen=True)
@@ -73,12 +85,14 @@ class Domain:
         }
 
 
-#: Directions closer than this (radians) are one direction: gonioreflectometers repeat to about 1e-4.
-SAME_DIRECTION = 1e-6
+#: Directions closer than this (radians) are one direction.
+SAME_DIRECTION = STEP
 
 
 #: Reasons for a mask that can't be found out from the table itself.
 MARKED, FILL = "marked unusable by its source", "fill value"
+#: Rows that are looked at together, so that a column of them stays in the processor's cache.
+_PART = 1 << 15
 
 #: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
 HORIZON = 1e-9
@@ -155,7 +169,7 @@ class Table:
             if fresh:
                 counts[reason] = counts.get(reason, 0) + fresh
             self.mask &= ~bad
-        self.metadata = replace(self.metadata, masked=counts)
+        self.metadata = self.metadata.but(masked=counts)
         if not self.mask.any():
             raise self._error(
                 f"none of the {n} samples is usable ({_counted(counts)})", "table-nothing-usable",
@@ -185,7 +199,8 @@ class Table:
                     f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name
                 )
             off = np.abs(np.einsum("ij,ij->i", w, w) - 1.0) > 1e-6
-            off &= np.isfinite(w).all(axis=1)
+            if off.any():
+                off &= np.isfinite(w).all(axis=1)
             if off.any():
                 raise self._error(
                     f"row {int(np.argmax(off)) + 1} of {name} is not a unit vector", "table-not-unit",
@@ -209,14 +224,15 @@ class Table:
                     f"{name} has shape {given.shape}, expected ({n},)", "table-shape", parameter=name
                 )
             reasons[reason] = ~given if name == "mask" else given
-        reasons["missing or not finite"] = ~_every(np.isfinite(self.value))
+        finite, not_negative = _every(self.value, np.isfinite, _not_negative)
+        reasons["missing or not finite"] = ~finite
         if negatives == "mask":
-            reasons["negative"] = ~_every(~(self.value < 0))
+            reasons["negative"] = ~not_negative
         if self.sigma is not None:
-            stated = (self.sigma > 0) & np.isfinite(self.sigma)
-            reasons["sigma missing or not positive"] = ~_every(stated)
+            reasons["sigma missing or not positive"] = ~_every(self.sigma, _positive)[0]
         if self.grid is None:
-            reasons["direction not finite"] = ~(_every(np.isfinite(self.wi)) & _every(np.isfinite(self.wo)))
+            known = [_every(w, np.isfinite)[0] for w in (self.wi, self.wo)]
+            reasons["direction not finite"] = ~(known[0] & known[1])
         reasons["below the horizon"] = ~self._above_horizon()
         if self.grid is None and duplicates == "mask":
             reasons["repeated geometry"] = self.repeats
@@ -228,10 +244,14 @@ class Table:
         axes = self.grid.axes
         if self.grid.system == "half_difference":
             # z of each direction is cos_h cos_d -+ sin_h sin_d cos(phi_d): no need to expand the vectors.
-            h = axes["theta_h"][:, None, None]
-            d = axes["theta_d"][None, :, None]
-            tilt = np.abs(np.sin(h) * np.sin(d) * np.cos(axes["phi_d"][None, None, :]))
-            return (np.cos(h) * np.cos(d) - tilt > 0).reshape(-1)
+            h, d = axes["theta_h"][:, None], axes["theta_d"][None, :]
+            along, across = np.cos(h) * np.cos(d), np.abs(np.sin(h) * np.sin(d))
+            turn = np.abs(np.cos(axes["phi_d"]))
+            above = np.empty(self.grid.shape, bool)
+            # Half angle by half angle: what is compared stays in the cache.
+            for k, slab in enumerate(above):
+                np.greater(along[k, :, None], across[k, :, None] * turn, out=slab)
+            return above.reshape(-1)
         below = {name: np.cos(axis) > 1e-12 for name, axis in axes.items() if name.startswith("theta")}
         shape = self.grid.shape
         ok = np.ones(shape, bool)
@@ -245,27 +265,28 @@ class Table:
         """(N,) True for every sample whose geometry an earlier sample has (scattered tables)."""
         if self.grid is not None:
             return np.zeros(len(self), bool)
-        pair = np.nan_to_num(np.concatenate([self.wi, self.wo], axis=1), nan=2.0)  # no direction's component
-        key = np.round(pair / SAME_DIRECTION).astype(np.int64)
-        _, first = np.unique(key, axis=0, return_index=True)
-        repeated = np.ones(len(self), bool)
-        repeated[first] = False
-        return repeated
+        return repeated(self.wi, self.wo)
 
     def _guess_symmetry(self) -> Symmetry:
         if self.grid is not None:
             return "anisotropic" if self.grid.system == "spherical" else "isotropic"
-        theta, phi = directions.spherical_from_vector(self.wi[self.mask])
-        tilted = theta > 1e-3
         # One incident azimuth only: the table can't tell, and the isotropic reading is the usual one.
-        spread = np.ptp(np.unwrap(np.sort(phi[tilted]))) if tilted.any() else 0.0
-        return "isotropic" if spread < 1e-3 else "anisotropic"
+        usable = np.flatnonzero(self.mask)
+        some = usable[:: len(usable) // 10_000 + 1]
+        # What some of the samples span is never more than what all of them do.
+        one = all(_azimuths(self.wi[rows]) < 1e-3 for rows in (some, usable))
+        return "isotropic" if one else "anisotropic"
 
     def _error(self, message: str, code: str, **keywords: Any) -> TableError:
         return TableError(message, code=code, file=self.metadata.name or None, **keywords)
 
     def __len__(self) -> int:
         return len(self.value)
+
+    @property
+    def usable(self) -> int:
+        """How many samples are usable."""
+        return int(self.mask.sum())
 
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
@@ -333,7 +354,8 @@ class Table:
             parts = [self.wi, self.wo]
         for part in [*parts, self.value, *([] if self.sigma is None else [self.sigma]), self.mask]:
             digest.update(str(part.shape).encode())
-            digest.update(np.ascontiguousarray(part).tobytes())
+            for start in range(0, len(part), 1 << 18):  # a whole copy of a transposed array is not needed
+                digest.update(np.ascontiguousarray(part[start : start + (1 << 18)]).data)
         digest.update(repr(self.channels).encode())
         return digest.hexdigest()
 
@@ -389,9 +411,32 @@ class Table:
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
 
-def _every(flags: NDArray[np.bool_]) -> BoolArray:
-    """(N,) whether all of each row of (N, C) holds."""
-    return np.asarray(flags.all(axis=1))
+def _azimuths(w: FloatArray) -> float:
+    """The range (radians) of the azimuths of directions (n, 3) that are not the normal."""
+    theta, phi = directions.spherical_from_vector(w)
+    tilted = theta > 1e-3
+    return float(np.ptp(np.unwrap(np.sort(phi[tilted])))) if tilted.any() else 0.0
+
+
+def _every(values: FloatArray, *tests: Callable[[FloatArray], BoolArray]) -> tuple[BoolArray, ...]:
+    """For each test, (N,) whether it holds for all of a row of (N, C)."""
+    found = tuple(np.ones(len(values), bool) for _ in tests)
+    # Column by column, in parts that stay in the cache: ten times faster than (N, C) flags and all(axis=1).
+    for start in range(0, len(values), _PART):
+        rows = slice(start, start + _PART)
+        for k in range(values.shape[1]):
+            part = values[rows, k]
+            for test, flags in zip(tests, found, strict=True):
+                flags[rows] &= test(part)
+    return found
+
+
+def _not_negative(value: FloatArray) -> BoolArray:
+    return value >= 0  # False where NaN, which counts as missing before it counts as negative
+
+
+def _positive(sigma: FloatArray) -> BoolArray:
+    return (sigma > 0) & np.isfinite(sigma)
 
 
 def _columns(name: str, given: ArrayLike) -> FloatArray:

@@ -12,8 +12,10 @@ from fitter.cli.values import pair
 from fitter.errors import SpecError, TableError
 
 if TYPE_CHECKING:
+    from fitter.cli.screen import Screen
     from fitter.compression import CompressedTable
     from fitter.formats import ReadOptions
+    from fitter.large import LargeTable
     from fitter.table import Table
 
 READING = "reading options (what a file can't say about itself)"
@@ -48,6 +50,22 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         "--fills", choices=("mask", "keep", "floors"),
         help="fill values: mask (default) or keep; floors: repeated zeros and constant lowest values, too",
     )  # fmt: skip
+
+
+def add_out_of_core(parser: argparse.ArgumentParser) -> None:
+    """``--out-of-core``: for tables that don't fit into memory."""
+    parser.add_argument(
+        "--out-of-core", action="store_true",
+        help="leave the table in its file (Parquet or delimited text) and read it part by part",
+    )  # fmt: skip
+
+
+def open_large(given: argparse.Namespace, seed: int, screen: Screen) -> LargeTable:
+    """The table of ``--out-of-core``, read through once. Raises TableError or SpecError."""
+    from fitter import large
+
+    with screen.progress("reading") as report:
+        return large.open_large(given.table, seed=seed, progress=report, **reading_options(given).to_dict())
 
 
 def reading_options(given: argparse.Namespace) -> ReadOptions:
@@ -127,6 +145,11 @@ def table_of(
         raise SpecError(
             "the result does not say which file its table came from", code="table-unknown", file=str(result),
             parameter="table", remedy="name it with --table",
+        )  # fmt: skip
+    if remembered.get("out_of_core"):
+        raise SpecError(
+            "the result was fitted out of core, and this needs its table in memory", code="table-too-large",
+            file=str(result), parameter="table", remedy="fit a part of the table that fits into memory",
         )  # fmt: skip
     if not options.to_dict():
         # The same file read the same way, also where it has moved.

@@ -20,8 +20,10 @@ from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import CHUNK, errors, polish, scores
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, ENOUGH, Block, Blocks, Usable, usable
+from fitter.fitting.samples import BLOCK, Block, Blocks, Usable, usable
+from fitter.fitting.streamed import from_file
 from fitter.fitting.writeup import Clock, Group, write_up
+from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
 
@@ -37,7 +39,7 @@ def check(request: FitSpec) -> None:
 
 
 def fit(
-    table: Table | CompressedTable,
+    table: Table | CompressedTable | LargeTable,
     model: FitSpec | ModelSpec | str,
     *,
     metric: Metric | None = None,
@@ -54,7 +56,8 @@ def fit(
 
     Parameters
     ----------
-    table : a Table, or a CompressedTable (then the result says with what tolerance).
+    table : a Table, a CompressedTable (then the result says with what tolerance), or a LargeTable, whose
+        file every pass reads anew.
     model : a short name ("ward", "lafortune:2"), a ModelSpec, or a whole FitSpec, which then rules alone.
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
     progress : called with (share, text); may raise to stop the fit.
@@ -82,7 +85,12 @@ def fit(
     chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
     progress(0.0, "preparing samples")
-    data = usable(table, chosen, request.select, anisotropic=not places.family.isotropic(request.model))
+    turned = not places.family.isotropic(request.model)
+    if isinstance(table, LargeTable):
+        reduction["out_of_core"] = {"sample": len(table.sample), "rows": table.rows}
+        data = from_file(table, chosen, request.select, anisotropic=turned)
+    else:
+        data = usable(table, chosen, request.select, anisotropic=turned)
     groups = channel_groups(request, len(data.channels))
     places = layout(request, len(data.channels))
     _enough(data, places, len(groups[0]))
@@ -120,7 +128,8 @@ def _solve(
     clock.lap("search")
 
     # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
-    blocks = [part if part.y.shape[0] % CHUNK == 0 else data.part(group, index, BLOCK, scale)]
+    fits = part.y.shape[0] % CHUNK == 0
+    blocks: Sequence[Block] = [part if fits else data.part(group, index, BLOCK, scale)]
     ends = [
         polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
@@ -128,7 +137,7 @@ def _solve(
     best = min(ends, key=lambda end: end.normal.objective)
     near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best.normal.objective]
     clock.lap("subset polish")
-    full: Sequence[Block] = data.blocks(group) if len(index) < len(data) else blocks
+    full: Blocks = data.blocks(group) if len(index) < len(data) else blocks
     passes = 0
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
     if reduced is not None:
@@ -151,9 +160,8 @@ def _solve(
         )  # fmt: skip
     positions = [data.channels[c] for c in group]
     found = errors(places, metric, floor, end.p, full)
-    rows, step = data.evenly(ENOUGH)
-    sampled = full if step == 1 else Blocks(data, tuple(group), rows=rows)
-    told = scores(places, metric, floor, end.p, sampled, step)
+    some, step = data.blocks_of_some(group)
+    told = scores(places, metric, floor, end.p, some, step)
     estimates = natural(places, end.p, end.normal, told, positions, len(data), metric == "measurement")
     clock.lap("uncertainty")
     return Group(end, found, estimates, evidence | {"reduced": reduced is not None}, examined, passes)

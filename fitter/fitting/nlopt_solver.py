@@ -6,7 +6,6 @@ steps: agreement of the two is evidence that neither stopped early.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -19,7 +18,7 @@ from fitter.errors import FitError
 from fitter.fitting import separable
 from fitter.fitting.layout import Layout
 from fitter.fitting.polish import Normal, Polished, bounds, normal_equations
-from fitter.fitting.samples import Block
+from fitter.fitting.samples import Blocks
 from fitter.fitting.search import Basin
 from fitter.spec import Metric
 
@@ -67,7 +66,7 @@ def search(
 
 
 def polish(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> Polished:
     """SLSQP on the full objective and its exact gradient, in units of each parameter's curvature."""
     lower, upper = bounds(layout, len(p))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import functools
 import os
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
 from fitter.fitting.least_squares import MAX_PASSES, Solution, solve
-from fitter.fitting.samples import Block, count
+from fitter.fitting.samples import Block, Blocks, count
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
@@ -140,7 +141,7 @@ def _gathered(layout: Layout, scores: Array) -> Array:
 
 
 def normal_equations(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> Normal:
     """The sums over all blocks at the vector p."""
     t, c = len(layout.entries), len(floor)
@@ -173,7 +174,7 @@ class Errors(NamedTuple):
 
 
 def errors(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block]
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> Errors:
     """The errors of all blocks at the vector p, in a pass without derivatives.
 
@@ -215,7 +216,7 @@ class Scores(NamedTuple):
 
 
 def scores(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
     step: int = 1,
 ) -> Scores:  # fmt: skip
     """The scores of the blocks' samples at the vector p; ``step`` : how many samples each stands for."""
@@ -264,20 +265,30 @@ def arrays(block: Block) -> Arrays:
     return block.pair, block.y, block.goal, block.weight
 
 
-def over_blocks(work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
+def over_blocks(work: Callable[[Block], T], blocks: Blocks) -> list[T]:
     """``work`` of every block, on threads: compiled programs release the GIL. A block is made by the thread
     that needs it."""
-    if len(blocks) == 1:
+    if isinstance(blocks, Sequence) and len(blocks) == 1:
         return [work(blocks[0])]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(lambda k: work(blocks[k]), range(len(blocks))))
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        if isinstance(blocks, Sequence):
+            return list(pool.map(lambda k: work(blocks[k]), range(len(blocks))))
+        done: list[T] = []
+        waiting: deque[Future[T]] = deque()
+        for block in blocks:
+            waiting.append(pool.submit(work, block))
+            if len(waiting) > 2 * threads:  # no more than that are held at a time
+                done.append(waiting.popleft().result())
+        return done + [one.result() for one in waiting]
 
 
+#: The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met.
 Polished = Solution[Normal]
 
 
 def polish(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Sequence[Block],
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
     max_passes: int = MAX_PASSES,
 ) -> Polished:  # fmt: skip
     """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`."""

@@ -26,7 +26,7 @@ from fitter import directions
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
 from fitter.fitting.polish import CHUNK, Arrays, arrays, over_blocks
-from fitter.fitting.samples import BLOCK, Block, Blocks, Usable
+from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable
 from fitter.models.pair import Pair
 from fitter.models.span import Span
 
@@ -95,11 +95,11 @@ def _grams(
     """(S, G, Q, Q) sums of products of the weighted columns: the terms at the J sets of parameters, K J of
     them, and the values of the channels of one weight; G = 1 where all have the same."""
     if span.within == "all":
-        blocks: Sequence[Block] = Blocks(data, channels)
+        blocks: Blocks = data.blocks(channels)
         parts = over_blocks(lambda block: np.asarray(_sums(layout, span, 1, BLOCK, arrays(block))), blocks)
         return np.asarray(np.sum(parts, axis=0))
     per_block = BLOCK // slabs.length
-    blocks = Blocks(data, channels, per_block * slabs.length)
+    blocks = TableBlocks(data, channels, per_block * slabs.length)
     parts = over_blocks(
         lambda block: np.asarray(_sums(layout, span, per_block, slabs.length, arrays(block))), blocks
     )

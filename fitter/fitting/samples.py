@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
+from typing import Protocol, TypeAlias, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,18 @@ class Block:
     goal: FloatArray
     weight: FloatArray
     count: int
+
+
+@runtime_checkable
+class Streamed(Protocol):
+    """Blocks that are made anew on every pass and can't be had one by one. samples : in all of them."""
+
+    @property
+    def samples(self) -> int: ...
+    def __iter__(self) -> Iterator[Block]: ...
+
+
+Blocks: TypeAlias = Sequence[Block] | Streamed
 
 
 @dataclass(frozen=True)
@@ -149,9 +161,16 @@ class Usable:
 
     def blocks(self, channels: Sequence[int]) -> Blocks:
         """All samples of the channels."""
-        return Blocks(self, tuple(channels))
+        return TableBlocks(self, tuple(channels))
 
-    def evenly(self, most: int) -> tuple[IntArray, int]:
+    def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, int]:
+        """Of a large table an evenly spaced part, and how many samples each of it stands for."""
+        rows, step = self._evenly(ENOUGH)
+        if step == 1:
+            return self.blocks(channels), 1
+        return TableBlocks(self, tuple(channels), rows=rows), step
+
+    def _evenly(self, most: int) -> tuple[IntArray, int]:
         """About ``most`` evenly spaced positions at least, and the step between them."""
         step = max(1, len(self) // most)
         # A step that divides the length of the grid's rows would meet the same columns again and again.
@@ -168,22 +187,26 @@ class Usable:
         """
         if len(self) <= size:
             return np.arange(len(self)), np.ones(len(self))
-        rows, step = self.evenly(max(ENOUGH, 8 * size))
-        n = len(rows)
-        block = self.part(range(len(self.channels)), rows, n)
-        energy = np.square(block.weight * block.y).sum(axis=1)
+        rows, step = self._evenly(max(ENOUGH, 8 * size))
+        chosen, scale = self.drawn(rows, np.full(len(rows), float(step)), size, seed)
+        return rows[chosen], scale
+
+    def drawn(self, rows: IntArray, weight: FloatArray, size: int, seed: int) -> tuple[IntArray, FloatArray]:
+        """Positions among ``rows``, which stand for ``weight`` samples each, and what those drawn do."""
+        block = self.part(range(len(self.channels)), rows, len(rows))
+        energy = weight * np.square(block.weight * block.y).sum(axis=1)
         # No sample counts for more than 100 times its share: glints must not fill the subset.
         energy = np.minimum(energy, 100 * energy.mean())
-        p = 0.5 / n + 0.5 * energy / max(energy.sum(), 1e-300)
+        p = 0.5 * weight / weight.sum() + 0.5 * energy / max(energy.sum(), 1e-300)
         p /= p.sum()
         offset = np.random.default_rng(seed).random()
-        picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, n - 1)
+        picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, len(rows) - 1)
         chosen, times = np.unique(picked, return_counts=True)
-        return rows[chosen], step * times / (size * p[chosen])
+        return chosen, weight[chosen] * times / (size * p[chosen])
 
 
 @dataclass(frozen=True)
-class Blocks(Sequence[Block]):
+class TableBlocks(Sequence[Block]):
     """All samples, or those at the positions ``rows``, block by block, each made when it is asked for.
 
     cells : how many cells of a grid a block covers, whole rows of its last axis; None leaves it to the table.
@@ -234,13 +257,18 @@ class Blocks(Sequence[Block]):
         return (self[k] for k in range(len(self)))
 
 
-def count(blocks: Sequence[Block]) -> int:
+def count(blocks: Blocks) -> int:
     """The samples of blocks, usable ones where that is known without making them."""
-    return blocks.samples if isinstance(blocks, Blocks) else sum(block.count for block in blocks)
+    return blocks.samples if isinstance(blocks, Streamed) else sum(block.count for block in blocks)
 
 
-def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = False) -> Usable:
+def usable(
+    table: Table, metric: Metric, select: Select, *, anisotropic: bool = False,
+    floor: FloatArray | None = None,
+) -> Usable:  # fmt: skip
     """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError.
+
+    ``floor`` : (C,) of the metric, where ``table`` is a part of the one fitted, which may hold none of them.
 
     ``anisotropic`` : of the model. The directions of an isotropic table are one representative each of all
     azimuths; such a model then gets them turned about the normal, evenly, or it would read meaning into the
@@ -257,7 +285,10 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
     left_out: dict[str, int] = {}
     used = _selected(table, select, left_out)
     summary = _summary(table, used)
-    floor = summary.typical[list(channels)] * metrics.LOG_FLOOR
+    part = floor is not None
+    if floor is None:
+        floor = summary.typical[list(channels)] * metrics.LOG_FLOOR
+        floor = np.where(floor > 0, floor, metrics.LOG_FLOOR)
     if metric == "log":
         index = np.flatnonzero(used)
         undefined = index[~(table.value[index][:, list(channels)] > -floor).all(axis=1)]
@@ -265,22 +296,23 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
         used = _without(used, undefined)
         summary = _summary(table, used)
     left_out = {why: n for why, n in left_out.items() if n}
-    if not used.any():
+    if not used.any() and not part:
         raise FitError(
             "no usable sample is left to fit", code="nothing-to-fit",
             cause=", ".join(f"{n} {why}" for why, n in left_out.items()) or "all samples are masked",
             remedy="widen the selection, or choose a metric that the values allow",
         )  # fmt: skip
-    summary = summary._make(part[list(channels)] for part in summary)
-    if not summary.largest.any():
+    summary = summary._make(column[list(channels)] for column in summary)
+    if not summary.largest.any() and not part:
         raise FitError(
             "all values are zero", code="nothing-to-fit", cause="a table of fill values",
             remedy="check the value columns",
         )  # fmt: skip
-    _check_size(table, metric, used, list(channels), float(summary.largest.max()))
+    if not part:
+        _check_size(table, metric, used, list(channels), float(summary.largest.max()))
     return Usable(
-        metric, table, np.flatnonzero(used), used, channels, np.where(floor > 0, floor, metrics.LOG_FLOOR),
-        summary, anisotropic and table.symmetry == "isotropic", left_out,
+        metric, table, np.flatnonzero(used), used, channels, floor, summary,
+        anisotropic and table.symmetry == "isotropic", left_out,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from fitter.fitting.energy import LargestAlbedo, largest_albedo
 from fitter.fitting.polish import Errors, Polished
 from fitter.fitting.result import Estimate, FitResult
 from fitter.fitting.samples import Usable
+from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric
 from fitter.table import Table
 
@@ -52,7 +53,7 @@ class Group:
 
 
 def write_up(
-    table: Table, request: FitSpec, metric: Metric, data: Usable, groups: list[list[int]],
+    table: Table | LargeTable, request: FitSpec, metric: Metric, data: Usable, groups: list[list[int]],
     solved: list[Group], reduction: dict[str, Any], clock: Clock,
 ) -> FitResult:  # fmt: skip
     """The FitResult of the solved groups; ``reduction`` says how the table was made smaller."""
@@ -128,7 +129,7 @@ def write_up(
         },
         table={
             "name": table.metadata.name, "hash": table.hash, "samples": len(table),
-            "usable": int(table.mask.sum()), "metric": metric, "domain": table.domain.to_dict(),
+            "usable": table.usable, "metric": metric, "domain": table.domain.to_dict(),
             **used, **reduction,
         },
         warnings=warnings,
@@ -157,7 +158,7 @@ def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list
 
 def _verdict(
     request: FitSpec, names: Sequence[str], groups: list[list[int]], solved: list[Group], data: Usable,
-    table: Table, albedo: LargestAlbedo,
+    table: Table | LargeTable, albedo: LargestAlbedo,
 ) -> tuple[str, str, tuple[str, ...]]:  # fmt: skip
     warnings: list[str] = []
     open_labels: list[str] = []

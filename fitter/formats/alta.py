@@ -18,6 +18,7 @@ from fitter.formats import geometry as geo
 from fitter.formats.assemble import QUANTITY_REMEDY, Reading, assemble
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
 from fitter.table import Channel, Quantity, Table
@@ -36,9 +37,9 @@ _QUANTITIES: dict[str, Quantity] = {"INV_STERADIAN": "brdf", "INV_STERADIAN_COSI
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with a #PARAM_IN line; #DIM alone is enough to be asked."""
-    if re.search(rb"(?:^|[\r\n])#[ \t]*PARAM_IN[ \t]", head):
+    if found(rb"(?:^|[\r\n])#[ \t]*PARAM_IN[ \t]", head, b"PARAM_IN"):
         return 0.95
-    return 0.6 if re.search(rb"(?:^|[\r\n])#[ \t]*DIM[ \t]+\d", head) else 0.0
+    return 0.6 if found(rb"(?:^|[\r\n])#[ \t]*DIM[ \t]+\d", head, b"DIM") else 0.0
 
 
 def read(source: Source, options: ReadOptions) -> list[Table]:

@@ -15,6 +15,7 @@ from fitter.formats.columns import band_nm, parse_column
 from fitter.formats.output import measured, one_line, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
 from fitter.table import Channel, Quantity, Table
@@ -26,10 +27,8 @@ _KEY = re.compile(r"([A-Za-z]\w*)(?:\s+(.*))?")
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a file with both NUM_POINTS and VARS lines; one of them is enough to be asked."""
-    found = [
-        re.search(rb"(?:^|[\r\n])" + key + rb"[ \t]", head) is not None for key in (b"NUM_POINTS", b"VARS")
-    ]
-    return (0.0, 0.6, 0.95)[sum(found)]
+    lines = [found(rb"(?:^|[\r\n])" + key + rb"[ \t]", head, key) for key in (b"NUM_POINTS", b"VARS")]
+    return (0.0, 0.6, 0.95)[sum(lines)]
 
 
 @dataclass

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
+from fitter.errors import TableError
+from fitter.formats.arrow_text import SEGMENT, SMALLEST, PlainRows, plain_rows
 from fitter.formats.columns import parse_column
 from fitter.formats.source import Source
 from fitter.formats.tabular_header import Head, state
@@ -14,15 +18,64 @@ from fitter.formats.text import Rows, is_number, split
 _STATEMENT = re.compile(r"#+\s*([A-Za-z][\w ]*?)\s*:\s*(.*)")
 
 
-def read_head(source: Source) -> tuple[Head, Rows]:
+def read_head(source: Source) -> tuple[Head, Rows | PlainRows]:
     """Statements and data rows of a text; column names are the header row's, or "column 0", ...
 
     Raises TableError where nothing but comments is there, or a statement can't be understood.
     """
+    return (_plain(source) if source.size >= SMALLEST else None) or _word_by_word(source)
+
+
+def _word_by_word(source: Source) -> tuple[Head, Rows]:
+    head, rows = _rows(source, source.lines)
+    promised = head.numbers.get("rows")
+    if promised is not None and promised != len(rows):
+        raise source.error(
+            f"the file has {len(rows)} rows and states {promised:g}", "table-truncated",
+            row=int(rows.numbers[-1]), cause="the file is cut off, or rows were added by hand",
+            remedy="fetch the file again, or correct the line '# rows:'",
+        )  # fmt: skip
+    return head, rows
+
+
+def head_of(source: Source) -> tuple[int, int, str | None, list[str], Head]:
+    """What begins a large text: the byte and the row where its values begin, delimiter, names, statements.
+
+    Raises TableError where its first bytes hold no row of values.
+    """
+    start = source.head if source.size <= len(source.head) else source.head[: source.head.rfind(b"\n") + 1]
+    first = Source(start, source.name)
+    head, rows = _rows(first, first.lines)
+    row = int(rows.numbers[0])
+    ends = re.finditer(rb"\r\n|\n|\r", start)
+    at = 0
+    for _ in range(row - 1):
+        at = next(ends).end()
+    mark = codecs.BOM_UTF8
+    at = at or len(mark) * start.startswith(mark)
+    return at, row, rows.delimiter, list(rows.names), head
+
+
+def _plain(source: Source, segment: int = SEGMENT) -> tuple[Head, PlainRows] | None:
+    """The same of a large text that pyarrow can read; None of all others, whatever is wrong with them."""
+    try:
+        start, row, delimiter, names, head = head_of(source)
+    except TableError:
+        return None
+    if re.search(rb"\r(?!\n)", source.head[:start]):
+        return None
+    source.begin_digest()  # the sooner it is known, the sooner the text can go
+    plain = plain_rows(
+        source, start, row, delimiter, names, lambda: _word_by_word(source)[1], segment
+    )  # fmt: skip
+    return None if plain is None or head.numbers.get("rows", len(plain)) != len(plain) else (head, plain)
+
+
+def _rows(source: Source, lines: Sequence[str]) -> tuple[Head, Rows]:
     head = Head()
     texts: list[str] = []
     numbers: list[int] = []
-    for number, line in enumerate(source.lines, start=1):
+    for number, line in enumerate(lines, start=1):
         bare = line.strip()
         if not bare:
             continue
@@ -50,15 +103,7 @@ def read_head(source: Source) -> tuple[Head, Rows]:
         numbers = numbers[1:]
     else:
         names = _names_from_comment(head, len(first)) or [f"column {k}" for k in range(len(first))]
-    rows = Rows(source, texts, np.asarray(numbers, np.intp), delimiter, names)
-    promised = head.numbers.get("rows")
-    if promised is not None and promised != len(rows):
-        raise source.error(
-            f"the file has {len(rows)} rows and states {promised:g}", "table-truncated",
-            row=numbers[-1], cause="the file is cut off, or rows were added by hand",
-            remedy="fetch the file again, or correct the line '# rows:'",
-        )  # fmt: skip
-    return head, rows
+    return head, Rows(source, texts, np.asarray(numbers, np.intp), delimiter, names)
 
 
 def _statement(source: Source, head: Head, line: str, row: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -43,30 +44,31 @@ def to_radians(
     angles: Mapping[str, FloatArray],
     units: Mapping[str, str],
     names: Mapping[str, str],
-    rows: NDArray[np.intp],
+    rows: NDArray[np.intp] | range,
 ) -> dict[str, FloatArray]:
     """Angle columns (role -> (n,)) in radians, not finite ones as NaN.
 
     Raises TableError for angles no direction has, and where the values plainly are in the other unit.
     """
     turned: dict[str, FloatArray] = {}
-    finite = {role: a[np.isfinite(a)] for role, a in angles.items()}
+    finite = {role: _finite(angle) for role, angle in angles.items()}
     for role, angle in angles.items():
         degrees = units[role] == "deg"
         polar = role.startswith("theta")
         largest = (180.0 if polar else 720.0) if degrees else (np.pi if polar else 4 * np.pi) + 1e-6
-        magnitude = np.abs(np.where(np.isfinite(angle), angle, 0.0))
-        wrong = magnitude > largest
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            in_degrees = not degrees and finite[role].size > 0 and magnitude.max() <= 720
+        if _largest(finite[role]) > largest:
+            magnitude = np.abs(np.where(np.isfinite(angle), angle, 0.0))
+            k = int(np.argmax(magnitude > largest))
+            in_degrees = not degrees and magnitude.max() <= 720
             raise source.error(
                 f"{names[role]} is {angle[k]:g} {units[role]}, which no direction has", "table-angle-range",
                 row=int(rows[k]), column=names[role],
                 cause="the angles are in degrees" if in_degrees else "a wrong column or unit",
                 remedy=f"declare the column as {role}_{'deg' if in_degrees else 'rad'} or mend the value",
             )  # fmt: skip
-        turned[role] = np.where(np.isfinite(angle), np.deg2rad(angle) if degrees else angle, np.nan)
+        turned[role] = np.deg2rad(angle) if degrees else angle
+        if finite[role] is not angle:
+            turned[role] = np.where(np.isfinite(angle), turned[role], np.nan)
     _refuse_radians(source, finite, units, names)
     return turned
 
@@ -77,10 +79,10 @@ def _refuse_radians(
     polar = [role for role in finite if role.startswith("theta")]
     if not polar or any(units[role] != "deg" for role in finite):
         return
+    if any(_largest(angle) > (1.6 if role in polar else 6.3) for role, angle in finite.items()):
+        return
     values = np.concatenate([finite[role] for role in polar])
-    azimuths = np.concatenate([np.empty(0), *(finite[role] for role in finite if role not in polar)])
-    small = values.size > 0 and np.abs(values).max() <= 1.6 and (np.abs(azimuths) <= 6.3).all()
-    if small and values.size >= _EVIDENCE_ROWS * len(polar) and len(np.unique(values)) >= _EVIDENCE_ANGLES:
+    if values.size >= _EVIDENCE_ROWS * len(polar) and len(np.unique(values)) >= _EVIDENCE_ANGLES:
         raise source.error(
             f"all polar angles are within {np.abs(values).max():.3g} deg of the normal", "table-angle-unit",
             column=", ".join(names[role] for role in polar), cause="the angles are in radians",
@@ -95,9 +97,8 @@ def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: st
     azimuth is 0 when the other varies; with none, ``convention`` must name the side.
     """
     theta_i, theta_o = angles["theta_i"], angles["theta_o"]
-    zero = np.zeros_like(theta_i)
     notes: list[str] = []
-    phi_i = angles.get("phi_i", zero)
+    phi_i = angles["phi_i"] if "phi_i" in angles else np.zeros_like(theta_i)
     stated = "dphi" in angles or "phi_o" in angles
     if "dphi" in angles:
         phi_o = phi_i + angles["dphi"]
@@ -106,10 +107,10 @@ def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: st
         if "phi_i" not in angles:
             notes.append("The file has no incident azimuth: it was taken as 0.")
     elif _varies(phi_i):
-        phi_o, stated = zero, True
+        phi_o, stated = np.zeros_like(theta_i), True
         notes.append("The file has no outgoing azimuth: it was taken as 0.")
     else:
-        phi_o = zero
+        phi_o = np.zeros_like(theta_i)
     if stated:
         if convention in ("forward", "back"):
             raise source.error(
@@ -173,7 +174,7 @@ def from_half_difference(angles: Mapping[str, FloatArray]) -> Geometry:
 
 
 def from_vectors(
-    source: Source, wi: FloatArray, wo: FloatArray, rows: NDArray[np.intp], names: tuple[str, str]
+    source: Source, wi: FloatArray, wo: FloatArray, rows: NDArray[np.intp] | range, names: tuple[str, str]
 ) -> Geometry:
     """Geometry from vector components (n, 3). Rounded ones are scaled to unit length; others are refused."""
     notes: list[str] = []
@@ -220,29 +221,51 @@ def find_grid(
     if system is None or system not in geometry.coordinates:
         return None
     coordinates = geometry.coordinates[system]
+    n = len(coordinates[0])
+    # Axes have at least the nodes that some of the rows have: few scattered rows show that there is no grid.
+    some = slice(None, None, n // 4096 + 1)
+    if math.prod(len(np.unique(_rounded(c[some]))) for c in coordinates) > n:
+        return None
     axes: dict[str, FloatArray] = {}
     places: list[NDArray[np.intp]] = []
     for name, c in zip(GRID_AXES[system], coordinates, strict=True):
         if not np.isfinite(c).all():
             return None
-        # Differences of azimuths carry rounding: nodes are told apart at 1e-9 rad.
-        _, first, place = np.unique(np.round(c, 9), return_index=True, return_inverse=True)
+        first, place = _nodes(_rounded(c))
         if len(first) < smallest or (name.startswith("theta") and c.min() < 0):
             return None
         node = c[first]
         if name.startswith("theta_") and system != "half_difference":
             node = np.where(np.abs(node - np.pi / 2) < HORIZON, np.pi / 2, node)
         axes[name] = node
-        places.append(place.reshape(-1))
+        places.append(place)
     shape = tuple(len(axis) for axis in axes.values())
-    n = len(coordinates[0])
-    if float(np.prod([float(k) for k in shape])) != n:
+    if math.prod(shape) != n:
         return None
     cell = np.ravel_multi_index(tuple(places), shape)
-    order = np.argsort(cell, kind="stable")
-    if not np.array_equal(cell[order], np.arange(n)):
+    order = np.full(n, -1, np.intp)
+    order[cell] = np.arange(n)
+    if (order < 0).any():  # a cell without a row: another has several
         return None
     return Grid(system, axes, _periods(system, axes) if periodic is None else dict(periodic)), order
+
+
+def _rounded(c: FloatArray) -> FloatArray:
+    """Differences of azimuths carry rounding: nodes are told apart at 1e-9 rad."""
+    return np.round(c, 9)
+
+
+def _nodes(c: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """For ``c`` (n,): where each of its values first stands, in increasing order, and which one a row has."""
+    # Those of some of the rows are nearly always all, and looking each row up among them beats sorting.
+    known = np.unique(c[:: len(c) // 65_536 + 1])
+    place = np.minimum(np.searchsorted(known, c), len(known) - 1)
+    if not np.array_equal(known[place], c):
+        _, first, place = np.unique(c, return_index=True, return_inverse=True)
+        return first, place.reshape(-1)
+    first = np.empty(len(known), np.intp)
+    first[place[::-1]] = np.arange(len(c))[::-1]  # the last one written is the first row
+    return first, place
 
 
 def _periods(system: str, axes: Mapping[str, FloatArray]) -> dict[str, float]:
@@ -258,11 +281,23 @@ def _periods(system: str, axes: Mapping[str, FloatArray]) -> dict[str, float]:
 
 
 def _varies(angle: FloatArray) -> bool:
-    known = angle[np.isfinite(angle)]
+    known = _finite(angle)
     return known.size > 0 and float(np.ptp(known)) > 1e-9
+
+
+def _finite(angle: FloatArray) -> FloatArray:
+    """The finite ones of ``angle`` (n,): itself where all are."""
+    known = np.isfinite(angle)
+    return angle if known.all() else angle[known]
+
+
+def _largest(angle: FloatArray) -> float:
+    """The largest magnitude, 0 of none."""
+    return max(float(angle.max()), -float(angle.min())) if angle.size else 0.0
 
 
 def _snap(w: FloatArray) -> FloatArray:
     """Directions within ``HORIZON`` of the horizon set exactly on it, so that 90 deg is never 'above'."""
-    w[..., 2] = np.where(np.abs(w[..., 2]) < HORIZON, 0.0, w[..., 2])
+    z = w[..., 2]
+    z[np.abs(z) < HORIZON] = 0.0
     return w

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 from fitter.formats.read_options import ReadOptions
@@ -23,7 +22,7 @@ class Held(Source):
         self.given = given
         self.format = format
 
-    @cached_property
+    @property
     def sha256(self) -> str:
         """Empty: there are no bytes to hash."""
         return ""

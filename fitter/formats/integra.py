@@ -9,7 +9,6 @@ hemisphere: refused.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +21,7 @@ from fitter.formats.assemble import ABOUT_SPECULAR, QUANTITY_REMEDY, Reading, as
 from fitter.formats.fills import trailing_zeros
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.tokens import Tokens
 from fitter.table import Channel, Quantity, Table
@@ -36,11 +36,11 @@ _SYMMETRIES = ("AxiSymmetrical", "DirSymmetrical", "PlaneSymmetrical", "ASymmetr
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with TypeColorModel and TypeSym or sigma lines."""
-    found = [
-        re.search(rb"(?:^|[\r\n])[ \t]*(?:" + key + rb")[ \t]", head, re.IGNORECASE) is not None
-        for key in (rb"TypeColorModel", rb"TypeSym|sigma")
-    ]
-    return (0.0, 0.55, 0.96)[sum(found)] if found[0] else 0.0
+    colours, symmetry = (
+        found(rb"(?:^|[\r\n])[ \t]*(?:" + b"|".join(keys) + rb")[ \t]", head, *keys, folded=True)
+        for keys in ((b"TypeColorModel",), (b"TypeSym", b"sigma"))
+    )
+    return (0.96 if symmetry else 0.55) if colours else 0.0
 
 
 @dataclass

@@ -6,7 +6,6 @@ The plane of incidence is at azimuth 90 deg: the light of a block is at (AOI, 90
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -17,6 +16,7 @@ from fitter.formats import geometry as geo
 from fitter.formats.assemble import TRISTIMULUS, Reading, assemble, stated_quantity
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.tokens import Tokens
 from fitter.table import Channel, Table
@@ -30,11 +30,11 @@ _TRISTIMULUS = ("TrisX", "TrisY", "TrisZ")
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with ScatterRadial and AOI lines (Zemax writes AngleOfIncidence)."""
-    found = [
-        re.search(rb"(?:^|[\r\n])[ \t]*" + key + rb"[ \t]+[-+.\d]", head) is not None
+    lines = [
+        found(rb"(?:^|[\r\n])[ \t]*" + key + rb"[ \t]+[-+.\d]", head, key)
         for key in (b"ScatterRadial", b"AOI")
     ]
-    return 0.98 if all(found) else 0.0
+    return 0.98 if all(lines) else 0.0
 
 
 @dataclass

@@ -20,6 +20,7 @@ from fitter.formats.assemble import TRISTIMULUS, Reading, assemble, of_several, 
 from fitter.formats.output import measured, one_line, one_or_tristimulus, unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
 from fitter.table import Channel, Quantity, Table
@@ -30,13 +31,14 @@ NAME = "pab-opto"
 CONVENTIONS = ("phi_specular_180", "phi_specular_0")
 _QUANTITIES: dict[str, Quantity] = {"bsdf": "brdf", "brdf": "brdf", "btdf": "brdf", "dsf": "ccbrdf"}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_FORMAT = re.compile(rb"(?:^|[\r\n])#[ \t]*format:[ \t]*theta[ \t]+phi[ \t]", re.IGNORECASE)
-_INCIDENCE = re.compile(rb"(?:^|[\r\n])#[ \t]*(?:intheta|incident_angle)[ \t:]", re.IGNORECASE)
+_FORMAT = rb"(?:^|[\r\n])#[ \t]*format:[ \t]*theta[ \t]+phi[ \t]"
+_INCIDENCE = rb"(?:^|[\r\n])#[ \t]*(?:intheta|incident_angle)[ \t:]"
 
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with both a #format: theta phi line and an incidence; one is enough to be asked."""
-    return (0.0, 0.6, 0.96)[(_FORMAT.search(head) is not None) + (_INCIDENCE.search(head) is not None)]
+    stated = found(_FORMAT, head, b"format:", folded=True)
+    return (0.0, 0.6, 0.96)[stated + found(_INCIDENCE, head, b"intheta", b"incident_angle", folded=True)]
 
 
 @dataclass(frozen=True)

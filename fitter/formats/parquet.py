@@ -28,7 +28,7 @@ _MAGIC = b"PAR1"
 #: Bytes the columns may unpack to, whatever their count of rows: runs of one value pack without limit.
 LARGEST = 1 << 30
 #: Metadata of the programs that wrote the file, not of the measurement.
-_FOREIGN_KEYS = frozenset({"pandas", "ARROW:schema"})
+FOREIGN_KEYS = frozenset({"pandas", "ARROW:schema"})
 
 
 def sniff(head: bytes, size: int) -> float:
@@ -37,13 +37,12 @@ def sniff(head: bytes, size: int) -> float:
 
 
 @dataclass(frozen=True)
-class _Columns:
+class Columns:
     """The columns of a Parquet file, as the tabular reader wants them."""
 
     source: Source
-    file: Any
     names: Sequence[str]
-    numbers: NDArray[np.intp]
+    numbers: range
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -52,9 +51,9 @@ class _Columns:
         """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
         import pyarrow as arrow
 
-        values = np.empty((len(self), len(use)))
+        values = np.empty((len(use), len(self))).T  # each column contiguous
         for j, k in enumerate(use):
-            column = self._column(k)
+            column = self.column(k)
             kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
             types = arrow.types
             if not (
@@ -65,7 +64,7 @@ class _Columns:
                     f"the column holds {str(column.type)[:40]}, not numbers", "table-not-a-number",
                     column=self.names[k], remedy="store it as float64, or declare it as 'ignore'",
                 )  # fmt: skip
-            with _refusing(self.source, self.names[k]):
+            with refusing(self.source, self.names[k]):
                 numbers = column.cast(kind).cast(arrow.float64(), safe=False).to_numpy()
             values[:, j] = numbers
         return values
@@ -74,14 +73,15 @@ class _Columns:
         """One column as text, white space stripped; null is empty."""
         import pyarrow as arrow
 
-        with _refusing(self.source, self.names[column]):
-            cells = self._column(column).cast(arrow.string()).to_pylist()
+        with refusing(self.source, self.names[column]):
+            cells = self.column(column).cast(arrow.string()).to_pylist()
         return ["" if cell is None else str(cell).strip() for cell in cells]
 
-    def _column(self, k: int) -> Any:
+    def column(self, k: int) -> Any:
+        """Column ``k``, an Arrow chunked array."""
         name = self.names[k]
-        with _refusing(self.source, name):
-            table = self.file.read(columns=[name], use_threads=False)
+        with refusing(self.source, name):
+            table = _open(self.source).read(columns=[name], use_threads=False)
             if table.column_names != [name] or table.num_rows != len(self):
                 raise ValueError(f"{table.num_rows} rows of {', '.join(table.column_names)[:80]}")
             return table.column(0)
@@ -89,15 +89,13 @@ class _Columns:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
-    import pyarrow as arrow  # a fifth of a second, and only where such a file is met
-    from pyarrow import parquet
-
-    with _refusing(source):
-        file = parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
+    source.begin_digest()
+    with refusing(source):
+        file = _open(source)
         schema, metadata = file.schema_arrow, file.metadata
         rows, names = int(metadata.num_rows), list(schema.names)
         groups = [int(metadata.row_group(k).num_rows) for k in range(metadata.num_row_groups)]
-        said = _text(metadata.metadata or {})
+        said = statements(metadata.metadata or {})
     if rows < 1 or not names or sum(groups) != rows or min(groups) < 0:
         raise source.error(
             f"the file states {rows:,} rows of {len(names)} columns in {len(groups)} groups", "table-empty",
@@ -114,8 +112,9 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
             remedy="give every column its own name",
         )  # fmt: skip
-    columns = _Columns(source, file, names, np.arange(1, rows + 1))
-    head = head_of(source, said, _FOREIGN_KEYS)
+    columns = Columns(source, names, range(1, rows + 1))
+    del file  # nothing may hold the bytes when the columns have been read
+    head = head_of(source, said, FOREIGN_KEYS)
     return read_columns(source, options, head, columns, format=NAME, text=False)
 
 
@@ -146,8 +145,15 @@ FORMAT = Format(
 )
 
 
+def _open(source: Source) -> Any:
+    import pyarrow as arrow  # a fifth of a second, and only where such a file is met
+    from pyarrow import parquet
+
+    return parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
+
+
 @contextmanager
-def _refusing(source: Source, column: str | None = None) -> Generator[None]:
+def refusing(source: Source, column: str | None = None) -> Generator[None]:
     """Turn what pyarrow raises at damaged bytes into a TableError."""
     from pyarrow import ArrowException
 
@@ -161,5 +167,6 @@ def _refusing(source: Source, column: str | None = None) -> Generator[None]:
         ) from error  # fmt: skip
 
 
-def _text(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+def statements(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+    """The schema's key-value metadata as text."""
     return {key.decode(): text.decode() for key, text in metadata.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import stat
@@ -12,10 +11,13 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
+from fitter.digest import Digest, digest_of
 from fitter.errors import TableError
 
 #: Bytes that are looked at to tell the format.
 HEAD = 1 << 16
+#: A file of so many bytes is not kept in memory longer than it is needed.
+_LARGE = 1 << 24
 
 
 class Source:
@@ -93,15 +95,33 @@ class Source:
         """All bytes; a copy only where they come from a path."""
         return self._bytes if self._path is None else bytes(self.buffer)
 
-    @property
+    @cached_property
     def ends_in_newline(self) -> bool:
         """Whether the last line is ended; a text cut in the middle of a number is not."""
         return bytes(self.buffer[-1:]) in (b"\n", b"\r")
 
+    def release(self) -> None:
+        """Let go of the bytes of a large file; they are read again if they are needed again."""
+        if self._path is not None and self.size > _LARGE:
+            _ = self.ends_in_newline  # said of the bytes that were read, as is the digest
+            self.begin_digest()
+            for name in ("buffer", "data", "lines"):
+                self.__dict__.pop(name, None)
+
     @cached_property
+    def digest(self) -> str | Digest:
+        """sha256 of all bytes, for :class:`fitter.table.Metadata`; that of a large file is yet to come."""
+        return digest_of(self.buffer)
+
+    def begin_digest(self) -> None:
+        """Have the digest of a large file computed from now on, beside what follows."""
+        if isinstance(self.digest, Digest):
+            self.digest.begin()
+
+    @property
     def sha256(self) -> str:
         """Hexadecimal digest of all bytes."""
-        return hashlib.sha256(self.buffer).hexdigest()
+        return self.digest if isinstance(self.digest, str) else self.digest.hexdigest()
 
     def beside(self, name: str) -> Source | None:
         """The file called ``name`` in this file's folder; None where there is none or no folder is known."""

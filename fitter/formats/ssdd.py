@@ -20,6 +20,7 @@ from fitter.formats import specular
 from fitter.formats.assemble import ABOUT_SPECULAR, TRISTIMULUS, Reading, assemble, stated_quantity
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import number
 from fitter.table import Channel, Table
@@ -36,8 +37,8 @@ _LINE = re.compile(rb"([^\r\n]*)(\r\n|\n|\r|$)")
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with VERSION and DATA_TYPE lines."""
-    version = re.search(rb"(?:^|[\r\n])VERSION[ \t]+\d", head[:4096]) is not None
-    kind = re.search(rb"(?:^|[\r\n])DATA_TYPE[ \t]+[a-z]", head) is not None
+    version = found(rb"(?:^|[\r\n])VERSION[ \t]+\d", head[:4096], b"VERSION")
+    kind = found(rb"(?:^|[\r\n])DATA_TYPE[ \t]+[a-z]", head, b"DATA_TYPE")
     return 0.97 if version and kind else 0.6 if kind else 0.0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -37,7 +38,7 @@ class Rows(Protocol):
     def names(self) -> Sequence[str]: ...
 
     @property
-    def numbers(self) -> NDArray[np.intp]: ...
+    def numbers(self) -> NDArray[np.intp] | range: ...
 
     def __len__(self) -> int: ...
 
@@ -75,13 +76,17 @@ def read_columns(
         )
     if ignored:
         notes.append(f"Columns not used: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}.")
-    whole = np.arange(len(rows))
+    parts = _items(rows, columns, numbers, group)
+    source.release()  # the numbers are there: the bytes of a large file would only fill the memory
+    taken = [
+        _Part(item, nm, np.asarray(rows.numbers)[part], {k: column[part] for k, column in numbers.items()})
+        for item, nm, part in parts
+    ] or [_Part(group, None, rows.numbers, numbers)]
+    if parts:
+        numbers.clear()
     return [
-        _table(
-            source, options, head, rows, columns, numbers, system, quantity, notes, *part, format=format,
-            text=text,
-        )
-        for part in _items(rows, columns, numbers, group) or [(group, None, whole)]
+        _table(source, options, head, rows, columns, part, system, quantity, notes, format=format, text=text)
+        for part in taken
     ]  # fmt: skip
 
 
@@ -171,42 +176,56 @@ def _items(
     return []
 
 
+@dataclass(frozen=True)
+class _Part:
+    """The rows of one table: what tells it apart, their numbers in the file, and column -> (n,)."""
+
+    item: str | None
+    wavelength_nm: float | None
+    rows: NDArray[np.intp] | range
+    columns: dict[int, FloatArray]
+
+
 def _table(
-    source: Source, options: ReadOptions, head: Head, rows: Rows, columns: Mapping[int, Column],
-    numbers: Mapping[int, FloatArray], system: str, quantity: Quantity, notes: list[str],
-    item: str | None, wavelength_nm: float | None, part: NDArray[np.intp], *, format: str, text: bool,
+    source: Source, options: ReadOptions, head: Head, rows: Rows, columns: Mapping[int, Column], part: _Part,
+    system: str, quantity: Quantity, notes: list[str], *, format: str, text: bool,
 ) -> Table:  # fmt: skip
+    """The table of ``part``, which is empty afterwards: a large one must not be in memory twice."""
     by_role = {c.role: k for k, c in columns.items() if c.kind in ("angle", "component")}
-    row_numbers = rows.numbers[part]
-    geometry_columns = {role: numbers[k][part] for role, k in by_role.items()}
-    names = {role: rows.names[k] for role, k in by_role.items()}
     convention = options.convention or head.stated.get("convention")
     if system != "angles":
         geo.refuse_convention(source, convention)
+    values = [(k, c) for k, c in columns.items() if c.kind == "value"]
+    sigmas = {c.channel: k for k, c in columns.items() if c.kind == "sigma"}
+    channels = channels_of(source, head, [c.channel for _, c in values])
+    if part.item is not None and part.wavelength_nm is not None and len(channels) == 1:
+        channels = (Channel(f"{part.wavelength_nm:.10g}nm", part.wavelength_nm),)
+    numbers = part.columns
+    usable = next((numbers[k] > 0 for k, c in columns.items() if c.kind == "usable"), None)
+    symmetry = cast("Symmetry | None", head.stated.get("symmetry"))
+    reading = Reading(
+        format, quantity, np.stack([numbers[k] for k, _ in values]).T, channels,
+        sigma=np.stack([numbers[sigmas[c.channel]] for _, c in values]).T if sigmas else None,
+        usable=usable, symmetry=symmetry, name=head.stated.get("name", ""), item=part.item,
+        provenance=_provenance(head), statements=head.statements(), notes=(*head.notes, *notes), text=text,
+    )  # fmt: skip
+    given = {role: numbers[k] for role, k in by_role.items()}
+    numbers.clear()
+    names = {role: rows.names[k] for role, k in by_role.items()}
     if system == "vectors":
-        wi, wo = (np.stack([geometry_columns[f"{w}_{x}"] for x in "xyz"], axis=1) for w in ("wi", "wo"))
-        geometry = geo.from_vectors(source, wi, wo, row_numbers, (names["wi_x"], names["wo_x"]))
+        wi, wo = (np.stack([given[f"{w}_{x}"] for x in "xyz"], axis=1) for w in ("wi", "wo"))
+        geometry = geo.from_vectors(source, wi, wo, part.rows, (names["wi_x"], names["wo_x"]))
     else:
         units = {role: columns[k].unit or "" for role, k in by_role.items()}
-        angles = geo.to_radians(source, geometry_columns, units, names, row_numbers)
+        angles = geo.to_radians(source, given, units, names, part.rows)
+        given.clear()
         geometry = (
             geo.from_half_difference(angles) if system == "half_difference"
             else geo.from_angles(source, angles, convention)
         )  # fmt: skip
-    values = [(k, c) for k, c in columns.items() if c.kind == "value"]
-    sigmas = {c.channel: k for k, c in columns.items() if c.kind == "sigma"}
-    channels = channels_of(source, head, [c.channel for _, c in values])
-    if item is not None and wavelength_nm is not None and len(channels) == 1:
-        channels = (Channel(f"{wavelength_nm:.10g}nm", wavelength_nm),)
-    usable = next((numbers[k][part] > 0 for k, c in columns.items() if c.kind == "usable"), None)
-    symmetry = cast("Symmetry | None", head.stated.get("symmetry"))
-    reading = Reading(
-        format, quantity, np.stack([numbers[k][part] for k, _ in values], axis=1), channels,
-        sigma=np.stack([numbers[sigmas[c.channel]][part] for _, c in values], axis=1) if sigmas else None,
-        usable=usable, symmetry=symmetry, name=head.stated.get("name", ""), item=item,
-        provenance=_provenance(head), statements=head.statements(), notes=(*head.notes, *notes), text=text,
-    )  # fmt: skip
-    return assemble(source, options, reading, geometry, _grid(source, head, geometry, symmetry))
+        angles.clear()
+    grid = _grid(source, head, geometry, symmetry)
+    return assemble(source, options, reading, replace(geometry, coordinates={}), grid)
 
 
 def _grid(source: Source, head: Head, geometry: geo.Geometry, symmetry: Symmetry | None) -> Any:

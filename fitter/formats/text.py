@@ -26,7 +26,7 @@ class Rows:
 
     source: Source
     lines: list[str]
-    numbers: NDArray[np.intp]
+    numbers: NDArray[np.intp] | range
     delimiter: str | None
     names: Sequence[str]
 

@@ -15,6 +15,7 @@ from fitter.formats.assemble import ABOUT_SPECULAR, TRISTIMULUS, Reading, assemb
 from fitter.formats.fills import trailing_zeros
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
+from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.tokens import Tokens
 from fitter.formats.zemax_writer import write_zemax
@@ -36,11 +37,11 @@ _WAVELENGTH = re.compile(r"(?<![\w.])(\d{2,5}(?:\.\d+)?)\s*nm\b")
 
 def sniff(head: bytes, size: int) -> float:
     """Sure of a text with the lines AngleOfIncidence and ScatterRadial; one is enough to be asked."""
-    found = [
-        re.search(rb"(?:^|[\r\n])[ \t]*" + key + rb"[ \t]+\d", head) is not None
+    lines = [
+        found(rb"(?:^|[\r\n])[ \t]*" + key + rb"[ \t]+\d", head, key)
         for key in (b"AngleOfIncidence", b"ScatterRadial")
     ]
-    return (0.0, 0.6, 0.97)[sum(found)]
+    return (0.0, 0.6, 0.97)[sum(lines)]
 
 
 @dataclass

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fitter.quality import energy, grazing, noise, pairs, peaks, regions, values
+from fitter.large import LargeTable
+from fitter.quality import energy, grazing, large, noise, pairs, peaks, regions, values
 from fitter.quality.finding import VERDICTS, Finding, Verdict
 from fitter.quality.hemispheres import hemispheres
 from fitter.quality.measured import AT_NORMAL, Measured
@@ -50,18 +51,31 @@ class Check:
         }  # fmt: skip
 
 
-def check(table: Table, *, seed: int = SEED) -> Check:
+def check(table: Table | LargeTable, *, seed: int = SEED) -> Check:
     """Judge a measured table: noise, reciprocity, energy, missing regions, faulty values, conventions.
 
     Nothing is fitted and nothing is changed. Values that the table masks as negative or repeated are looked
     at, too. ``docs/quality.md`` explains every finding and its limits.
+
+    Of a LargeTable the counts are of all samples; what rests on directions is judged by its sample.
 
     Parameters
     ----------
     seed : of the subsets that large tables are judged by; the same seed gives the same findings.
     """
     with np.errstate(over="ignore", under="ignore"):
+        if isinstance(table, LargeTable):
+            return _check_large(table, seed)
         return _check(table, seed)
+
+
+def _check_large(table: LargeTable, seed: int) -> Check:
+    shown = _check(table.sample, seed)
+    findings = [finding for finding in shown.findings if finding.name not in large.REPLACED]
+    return Check(
+        table.metadata.name, table.hash, len(table), shown.looked_at, table.seed,
+        (*large.counts(table), *findings),
+    )  # fmt: skip
 
 
 def _check(table: Table, seed: int) -> Check:

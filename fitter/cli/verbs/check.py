@@ -19,6 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=0, metavar="S",
         help="of the subset that a large grid is judged by (default: %(default)s)",
     )  # fmt: skip
+    reading.add_out_of_core(parser)
     reading.add_reading_options(parser)
 
 
@@ -32,6 +33,12 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
             f"--seed is {given.seed}", code="bad-call", parameter="seed", remedy="give 0 to 2^63 - 1"
         )
     found: list[Check] = []
+    if given.out_of_core:
+        large = reading.open_large(given, given.seed, screen)
+        with screen.progress("check") as report:
+            report(0.0, large.metadata.name)
+            found.append(check(large, seed=given.seed))
+        return Outcome(found[0].to_dict(), lambda screen: _show(found[0], screen))
     with screen.progress("check") as report:
         tables = load_all(given.table, **reading.reading_options(given).to_dict())
         for k, table in enumerate(tables):

@@ -55,7 +55,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     lap("start the numerics")
     specs = [FitSpec(model=ModelSpec(family=family)) for family in FAMILIES]
-    results, failures = fit_all(opened, specs, out, screen)
+    results, failures = fit_all(opened.table, opened.source, specs, out, screen)
     for result in results:
         screen.note(
             f"{result.spec.model.name}: {result.status.replace('_', ' ')}, relative rmse "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +14,16 @@ from fitter.cli.verb import DONE, WORK_FAILED, Outcome, Verb
 from fitter.errors import FitError, SpecError
 
 if TYPE_CHECKING:
+    from fitter.compression import CompressedTable
     from fitter.fitting import FitResult
+    from fitter.large import LargeTable
     from fitter.spec import FitSpec
+    from fitter.table import Table
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add_fit_arguments(parser)
+    reading.add_out_of_core(parser)
     reading.add_reading_options(parser)
 
 
@@ -125,11 +129,23 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.results import FITS, file_name, show_fit
 
     out = None if given.out is None else output_folder(given.out)
-    opened = reading.open_table(given.table, reading.reading_options(given))
-    if given.compress is not None:
-        opened = opened.compressed_to(given.compress)
+    if given.out_of_core and given.compress is not None:
+        raise SpecError(
+            "--compress needs the table in memory", code="bad-call", parameter="compress",
+            remedy="leave out --compress or --out-of-core",
+        )  # fmt: skip
+    wanted = specs(given)
+    if given.out_of_core:
+        options = reading.reading_options(given).to_dict()
+        source = {"path": str(Path(given.table).resolve()), "options": options, "out_of_core": True}
+        table, small = reading.open_large(given, given.seed, screen), None
+    else:
+        opened = reading.open_table(given.table, reading.reading_options(given))
+        if given.compress is not None:
+            opened = opened.compressed_to(given.compress)
+        table, small, source = opened.table, opened.small, opened.source
     start_numerics(screen)
-    results, failures = fit_all(opened, specs(given), out, screen)
+    results, failures = fit_all(small or table, source, wanted, out, screen)
 
     def show(screen: Screen) -> None:
         for result in results:
@@ -148,7 +164,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
 
 def fit_all(
-    opened: reading.Opened, wanted: Sequence[FitSpec], out: Path | None, screen: Screen
+    table: Table | CompressedTable | LargeTable, source: Mapping[str, Any], wanted: Sequence[FitSpec],
+    out: Path | None, screen: Screen,
 ) -> tuple[list[FitResult], list[dict[str, Any]]]:
     """The fits that worked, each written to ``out`` as soon as it is there, and the others' failures."""
     from fitter.cli.results import file_name, remember
@@ -160,7 +177,7 @@ def fit_all(
         name = spec.model.name
         try:
             with screen.progress(name) as progress:
-                result = remember(fit(opened.small or opened.table, spec, progress=progress), opened.source)
+                result = remember(fit(table, spec, progress=progress), source)
         except FitError as error:
             # The other models may well fit: this one's failure is a result of its own.
             screen.note(f"error: {name}: {error}")

@@ -1,0 +1,147 @@
+"""Rows of a large plain text by pyarrow, where that means the same as reading them word by word.
+
+Plain is a body of ASCII lines without quotes, comments, blank lines or odd control characters. There
+pyarrow's cells are those of :mod:`fitter.formats.text`. A cell it does not take for a number, or a row of
+another width, is left to the careful reader, which knows more words for a missing one and names the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.formats.source import Source
+from fitter.formats.text import MISSING, Rows
+
+FloatArray = NDArray[np.float64]
+
+#: Smaller texts are read word by word before pyarrow is even imported.
+SMALLEST = 1 << 21
+#: Bytes that are parsed at a time.
+SEGMENT = 1 << 24
+#: Bytes that are looked through at a time: they stay in the cache.
+_CHECKED = 1 << 20
+
+#: Words for a missing value as people write them; "nan" itself is a number to pyarrow.
+_MISSING = sorted({form(word) for word in MISSING - {"nan"} for form in (str.lower, str.upper, str.title)})
+
+
+@dataclass(frozen=True)
+class PlainRows:
+    """The rows of ``source`` from byte ``start`` on, parsed when asked for; used as :class:`text.Rows` are.
+
+    numbers : their rows in the file, from 1. careful : gives the same rows read word by word.
+    """
+
+    source: Source
+    start: int
+    numbers: range
+    delimiter: str | None
+    names: Sequence[str]
+    careful: Callable[[], Rows]
+    segment: int = SEGMENT
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def floats(self, use: Sequence[int]) -> FloatArray:
+        """The columns ``use`` as (n, len(use)); missing cells are NaN. TableError on any other text."""
+        import pyarrow
+
+        found = np.empty((len(use), len(self))).T  # each column contiguous
+        at = 0
+        for parsed in self._parsed(use, pyarrow.float64()):
+            if parsed is None or at + len(parsed) > len(self):
+                return self._word_by_word.floats(use)
+            for k, column in enumerate(parsed.columns):
+                filled = at
+                for chunk in column.chunks:
+                    found[filled : filled + len(chunk), k] = chunk.to_numpy(zero_copy_only=False)
+                    filled += len(chunk)
+            at += len(parsed)
+        return found if at == len(self) else self._word_by_word.floats(use)
+
+    def texts(self, column: int) -> list[str]:
+        """One column as written, white space stripped."""
+        import pyarrow
+
+        found: list[str] = []
+        for parsed in self._parsed([column], pyarrow.string()):
+            if parsed is None:
+                return self._word_by_word.texts(column)
+            found += [str(cell).strip() for cell in parsed.column(0).to_pylist()]
+        return found if len(found) == len(self) else self._word_by_word.texts(column)
+
+    @cached_property
+    def _word_by_word(self) -> Rows:
+        return self.careful()
+
+    def _parsed(self, use: Sequence[int], kind: Any) -> Iterator[Any]:
+        """An Arrow table of each segment's columns ``use``; None, and then nothing, where it can't be one."""
+        import pyarrow
+        from pyarrow import csv
+
+        names = [str(k) for k in range(len(self.names))]
+        wanted = [str(k) for k in use]
+        read = csv.ReadOptions(column_names=names)
+        parse = csv.ParseOptions(delimiter=self.delimiter or " ", quote_char=False)
+        convert = csv.ConvertOptions(
+            include_columns=wanted, column_types=dict.fromkeys(wanted, kind), null_values=_MISSING,
+            strings_can_be_null=False, check_utf8=False,
+        )  # fmt: skip
+        for segment in _segments(self.source, self.start, self.segment):
+            text = segment if self.delimiter else _squeezed(segment)
+            try:
+                yield csv.read_csv(pyarrow.BufferReader(text), read, parse, convert)
+            except pyarrow.ArrowInvalid:
+                yield None
+                return
+
+
+def plain_rows(
+    source: Source, start: int, row: int, delimiter: str | None, names: Sequence[str],
+    careful: Callable[[], Rows], segment: int = SEGMENT,
+) -> PlainRows | None:  # fmt: skip
+    """The rows from byte ``start``, where row ``row`` begins, to the end; None where the text isn't plain."""
+    count = 0
+    for part in _segments(source, start, min(segment, _CHECKED)):
+        lines = part.count(b"\n")
+        # A NUL, a quote, a comment, or a "nan(...)" that only pyarrow takes for a number.
+        plain = part.isascii() and not any(mark in part for mark in (b"\0", b'"', b"#", b"("))
+        if plain and b"\r" in part:
+            plain = part.count(b"\r") == part.count(b"\r\n")
+        if plain and delimiter is None:
+            # Form feeds and the like are white space, but not to pyarrow.
+            white = lines + part.count(b"\r") + part.count(b"\t")
+            plain = int(np.count_nonzero(np.frombuffer(part, np.uint8) < 32)) == white
+        if not plain:
+            return None
+        count += lines + (not part.endswith(b"\n"))
+    # Blank lines are counted here and not by pyarrow: where there are any, the counts will not agree.
+    return PlainRows(source, start, range(row, row + count), delimiter, names, careful, segment)
+
+
+def _segments(source: Source, start: int, size: int) -> Iterator[bytes]:
+    """The bytes from ``start``, in parts that end with a line's end (but for the last)."""
+    buffer = source.buffer
+    while start < len(buffer):
+        part = bytes(buffer[start : start + size])
+        if start + size < len(buffer):
+            end = part.rfind(b"\n") + 1
+            # A line longer than a part is no line of a table: what is left is taken whole.
+            part = part[:end] if end else bytes(buffer[start:])
+        yield part
+        start += len(part)
+
+
+def _squeezed(text: bytes) -> bytes:
+    """``text`` with one space between the words of a line and none around them."""
+    text = text.replace(b"\t", b" ").replace(b"\r\n", b"\n")
+    while b"  " in text:
+        text = text.replace(b"  ", b" ")
+    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ")

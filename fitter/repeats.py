@@ -1,0 +1,97 @@
+"""Which samples have a geometry that an earlier one has: exact, and in the time of one sort."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+KeyArray = NDArray[np.uint64]
+
+#: Components are told apart at this step: gonioreflectometers repeat to about 1e-4 rad.
+STEP = 1e-6
+
+# A unit vector's components are at most 1 000 001 steps; above lie NaN and the infinities. 3 x 21 bits.
+_NAN, _INFINITE, _LEVELS = 1_000_010, 1_000_011, 1 << 21
+_PART = 1 << 15
+
+
+def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
+    """(N,) True for every pair of unit vectors ``wi``, ``wo`` (N, 3) that an earlier one is to ``STEP``."""
+    first, second = _packed(wi), _packed(wo)
+    found = np.zeros(len(first), bool)
+    mixed = _mixed(first, second)
+    ordered = np.sort(mixed)
+    several = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not several.size:
+        return found
+    # Rows that differ may mix to one number: those that do are compared in full.
+    place = np.minimum(np.searchsorted(several, mixed), several.size - 1)
+    rows = np.flatnonzero(several[place] == mixed)
+    rows = rows[np.lexsort((second[rows], first[rows]))]  # stable: the earliest of each kind stays in front
+    same = (first[rows[1:]] == first[rows[:-1]]) & (second[rows[1:]] == second[rows[:-1]])
+    found[rows[1:][same]] = True
+    return found
+
+
+def _mixed(first: KeyArray, second: KeyArray) -> KeyArray:
+    """One number for both, nearly always another for another pair: multiples of large odd numbers."""
+    return first * np.uint64(0x9E3779B97F4A7C15) + second * np.uint64(0xC2B2AE3D27D4EB4F)
+
+
+def _packed(w: FloatArray) -> KeyArray:
+    """(N,) the three components of each row in steps, as one number."""
+    keys = np.zeros(len(w), np.uint64)
+    for start in range(0, len(w), _PART):
+        part = keys[start : start + _PART]
+        for k in range(3):
+            step = np.rint(w[start : start + _PART, k] / STEP)
+            step[np.isnan(step)] = _NAN
+            part *= np.uint64(_LEVELS)
+            part += (np.clip(step, -_INFINITE, _INFINITE) + _INFINITE).astype(np.uint64)
+    return keys
+
+
+class RepeatEstimate:
+    """How many samples repeat an earlier geometry, from a share of the geometries.
+
+    Which geometries are looked at is told by their mixed keys: all samples of one are, or none, so that its
+    repeats are counted exactly. The share is halved when more than ``most`` samples are kept; until then the
+    number is exact.
+    """
+
+    def __init__(self, most: int = 1 << 20) -> None:
+        self._most = most
+        self._bits = 0
+        self._keys = np.zeros((2, 0), np.uint64)
+
+    def add(self, wi: FloatArray, wo: FloatArray) -> None:
+        """Take note of the pairs (n, 3)."""
+        self._keys = np.concatenate([self._keys, self._few(np.stack([_packed(wi), _packed(wo)]))], axis=1)
+        while self._keys.shape[1] > self._most:
+            self._bits += 1
+            self._keys = self._few(self._keys)
+
+    def _few(self, keys: KeyArray) -> KeyArray:
+        # The high bits: the low ones of a product depend on few of its factors' bits.
+        if not self._bits:
+            return keys
+        return keys[:, _mixed(keys[0], keys[1]) >> np.uint64(64 - self._bits) == 0]
+
+    @property
+    def exact(self) -> bool:
+        """Whether every sample was counted."""
+        return not self._bits
+
+    @property
+    def looked_at(self) -> int:
+        """Samples that were."""
+        return self._keys.shape[1]
+
+    @property
+    def number(self) -> int:
+        """Samples of all that have a geometry which another one had before."""
+        order = np.lexsort(self._keys)
+        same = (self._keys[:, order[1:]] == self._keys[:, order[:-1]]).all(axis=0)
+        return int(np.count_nonzero(same)) << self._bits
