@@ -156,8 +156,11 @@ def _sentinels(value: FloatArray, usable: BoolArray, notes: list[str]) -> BoolAr
     for column in value.T:
         left = usable & np.isfinite(column)
         for sign in (-1.0, 1.0):
+            # Damaged bytes may be a NaN that signals when it is multiplied.
+            with np.errstate(invalid="ignore"):
+                signed = sign * column
             # One file may have several: -999 for one reason, -9999 for another.
-            while (number := _outermost(sign * column, left, sign)) is not None:
+            while (number := _outermost(signed, left, sign)) is not None:
                 here = left & (column == number)
                 told[number] = told.get(number, np.zeros(len(value), bool)) | here
                 rows |= here

@@ -182,4 +182,7 @@ def _unfit(source: Source, name: str, wrong: str, reason: str) -> Exception:
 def _text(field: NDArray[Any]) -> str:
     """A description as one line of printable characters."""
     text = field.astype(np.uint8).tobytes().decode(errors="replace") if field.dtype.kind in "ui" else ""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    # In pieces: the characters of a long one, each a string of its own, take fifty times its size.
+    pieces = (text[k : k + 1000] for k in range(0, len(text), 1000))
+    plain = ("".join(c if c.isprintable() else " " for c in piece) for piece in pieces)
+    return " ".join("".join(plain).split())

@@ -157,17 +157,22 @@ def _slice(
 def _coverage(figure: Figure, bottom: float, found: Portrait) -> None:
     """Samples by polar angles: usable ones by colour, cells of masked samples only marked."""
     _words(figure, 8.35, bottom + UPPER - 0.98, "Angles covered: usable samples", **_TITLE)
-    axes = _at(figure, 8.75, bottom + 0.72, 3.05, 3.05)
+    axes = _at(figure, 8.7, bottom + 0.72, 3.05, 3.05)
     most = max(int(found.counts.max()), 2)
     mesh = axes.pcolormesh(
         *found.edges_deg, np.ma.masked_equal(found.counts.T, 0), cmap="Blues", norm=LogNorm(0.3, most),
         rasterized=True,
     )  # fmt: skip
     lost = np.nonzero((found.counts == 0) & (found.masked > 0))
+    notes: list[str] = []
+    usable = int(found.table.mask.sum())
+    if found.looked_at < usable:
+        notes.append(f"counted: {found.looked_at:,} of {usable:,} cells")
     if len(lost[0]):
         at = [(0.5 * (edges[1:] + edges[:-1]))[k] for edges, k in zip(found.edges_deg, lost, strict=True)]
         axes.plot(*at, "x", color=PURPLE, markersize=3.5)
-        _words(figure, 10.3, bottom + 0.12, "× masked samples only", ha="center", fontsize=9)
+        notes.append("× masked samples only")
+    _words(figure, 10.3, bottom + 0.12, "  ·  ".join(notes), ha="center", fontsize=9)
     axes.plot([0, 90], [0, 90], color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
     axes.set_facecolor(_BACKGROUND)
     for axis, label in ((axes.xaxis, "θ_i (deg)"), (axes.yaxis, "θ_o (deg)")):
@@ -176,7 +181,7 @@ def _coverage(figure: Figure, bottom: float, found: Portrait) -> None:
     axes.set_xlim(0, 90)
     axes.set_ylim(0, 90)
     axes.tick_params(labelsize=9, colors=INK)
-    bar = figure.colorbar(mesh, cax=_at(figure, 11.9, bottom + 0.72, 0.13, 3.05))
+    bar = figure.colorbar(mesh, cax=_at(figure, 11.82, bottom + 0.72, 0.13, 3.05))
     ticks = [m * 10**k for k in range(7) for m in (1, 2, 5) if m * 10**k <= most]
     bar.set_ticks(ticks if len(ticks) <= 7 else ticks[::3], labels=[])
     bar.minorticks_off()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fitter import directions
 from fitter.errors import SpecError
 from fitter.formats import load, read_options, write
-from fitter.formats.fills import find_fills, repeated, trailing_zeros
+from fitter.formats.fills import find_fills, no_data, repeated, trailing_zeros
 from fitter.quality import check
 from fitter.table import FILL, Table
 from tests.evidence.inputs import inputs
@@ -231,6 +231,15 @@ def all_of(one: Any) -> list[Table]:
     from tests.evidence.trial import read
 
     return read(one, one.sources("", b""))
+
+
+def test_a_nan_that_signals():
+    """What damaged bytes can be: no warning (an error in tests), and no fill value."""
+    data = bytearray(mbsdf_bytes(6, 6, 3))
+    data[-4:] = (0x7F800001).to_bytes(4, "little")
+    assert load(bytes(data)).fills is None
+    column = np.frombuffer((0x7FF0000000000001).to_bytes(8, "little") + np.full(9, 0.5).tobytes(), "<f8")
+    assert no_data(column[:, None], "mask") == (None, ())
 
 
 def test_repeated_values():
