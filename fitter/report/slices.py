@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.models.padded import evaluated
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted, IndexArray, evaluated, restricted, spread, thin
+from fitter.report.fitted import Fitted, IndexArray, restricted, spread, thin
 from fitter.table import Table
 
 if TYPE_CHECKING:
