@@ -52,13 +52,19 @@ def blocks(wi: FloatArray, wo: FloatArray, folds: int, *, isotropic: bool) -> Bl
     """Blocks of the samples (n, 3) and at most ``folds`` folds of them, every folds-th block in the same one.
 
     Blocks are incident polar angles, all azimuths together. Where there are fewer than four of them they are
-    incident directions (anisotropic tables), and else bands of the scattered polar angle.
+    incident directions (anisotropic tables), and else scattered polar angles; so they are where it is the
+    light that moved along a scan.
     """
     theta_i, phi_i = directions.spherical_from_vector(wi)
     theta_o, _ = directions.spherical_from_vector(wo)
     rings, bands = _scans(theta_i)
-    what = "bands of theta_i, 7.5 deg wide" if bands else "incident polar angles"
+    columns, wide = _scans(theta_o)
+    scattered = "bands of theta_o, 7.5 deg wide" if wide else "scattered polar angles"
+    light_moved = _sparse(theta_i) and not wide and _count(columns) >= FEWEST_BLOCKS
+    if light_moved:
+        return _dealt(columns, folds, "theta_o", scattered)
     if _count(rings) >= FEWEST_BLOCKS:
+        what = "bands of theta_i, 7.5 deg wide" if bands else "incident polar angles"
         return _dealt(rings, folds, "theta_i", what)
     several = _count(rings) > 1
     if not isotropic:
@@ -67,10 +73,8 @@ def blocks(wi: FloatArray, wo: FloatArray, folds: int, *, isotropic: bool) -> Bl
         if _count(both) >= FEWEST_BLOCKS:
             return _dealt(both, folds, "incidence", "incident directions")
         several |= _count(both) > 1
-    columns, bands = _scans(theta_o)
     if several and _count(columns) >= FEWEST_BLOCKS:
-        what = "bands of theta_o, 7.5 deg wide" if bands else "scattered polar angles"
-        return _dealt(columns, folds, "theta_o", what)
+        return _dealt(columns, folds, "theta_o", scattered)
     none = np.zeros(len(wi), np.intp)
     return Blocks(none, none, None, "one incidence" if not several else "too few directions")
 
@@ -91,7 +95,7 @@ def _scans(theta: FloatArray) -> tuple[IndexArray, bool]:
     """Distinct angles as labels in increasing order, or bands of them where they are many or nearly empty."""
     label = _rings(theta, SAME_INCIDENCE)
     size = np.bincount(label)
-    bands = len(size) > MOST_SCANS or float(np.median(size)) < FEWEST_DIRECTIONS
+    bands = len(size) > MOST_SCANS or _sparse(theta)
     if bands:
         label = _numbered(np.floor(theta / BAND).astype(np.intp))
         size = np.bincount(label)
@@ -102,6 +106,11 @@ def _scans(theta: FloatArray) -> tuple[IndexArray, bool]:
     middle = np.bincount(label, theta) / size
     nearest = np.abs(middle[:, None] - middle[full][None, :]).argmin(axis=1)
     return nearest[label], bands
+
+
+def _sparse(theta: FloatArray) -> bool:
+    """Whether most angles have too few samples to be scans."""
+    return float(np.median(np.bincount(_rings(theta, SAME_INCIDENCE)))) < FEWEST_DIRECTIONS
 
 
 def _rings(angle: FloatArray, within: float) -> IndexArray:

@@ -27,8 +27,9 @@ IndexArray = NDArray[np.intp]
 
 #: More scattered samples than this are not triangulated again for each block.
 MOST_SCATTERED = 200_000
-#: A fold with fewer predicted samples, and an axis with fewer nodes, is not judged by.
-FEWEST_SAMPLES, FEWEST_NODES = 5, 5
+#: A fold with fewer predicted samples, and an axis with fewer nodes, is not judged by; nor is a table with
+#: fewer such folds.
+FEWEST_SAMPLES, FEWEST_NODES, FEWEST_FOLDS = 5, 5, 3
 _PREDICTED = 4_096
 
 
@@ -42,8 +43,17 @@ class RawPrediction:
     words: str
 
     def errors(self, data: Data) -> FloatArray:
-        """(K,) root mean square residual in the metric, of each fold."""
+        """(K,) root mean square residual in the metric, of each fold; NaN where it has no sample."""
         return data.errors(self.rows, data.residuals(self.rows, self.value))
+
+    def folds(self, data: Data) -> IndexArray:
+        """The folds with samples enough to be judged by."""
+        counts = np.bincount(data.blocks.fold[self.rows], minlength=data.blocks.folds)
+        return np.flatnonzero(counts >= FEWEST_SAMPLES)
+
+    def error(self, data: Data) -> float:
+        """The geometric mean of the errors of those folds."""
+        return score(self.errors(data)[self.folds(data)])
 
 
 def raw_prediction(data: Data) -> RawPrediction | str:
@@ -111,13 +121,10 @@ def _grid(data: Data) -> RawPrediction | str:
         predicted, extrapolated = coarse.evaluate(wi[wanted], wo[wanted])
         words = f"every other node of {name} from its neighbours"
         found = RawPrediction(some[wanted[~extrapolated]], predicted[~extrapolated], words)
-        if _enough(found, data) and (
-            worst is None or score(found.errors(data)) > score(worst.errors(data))
-        ):
+        if _enough(found, data) and (worst is None or found.error(data) > worst.error(data)):
             worst = found
     return worst or "no axis of the grid has enough nodes"
 
 
 def _enough(found: RawPrediction, data: Data) -> bool:
-    counts = np.bincount(data.blocks.fold[found.rows], minlength=data.blocks.folds)
-    return int(counts.min()) >= FEWEST_SAMPLES
+    return len(found.folds(data)) >= FEWEST_FOLDS

@@ -62,6 +62,7 @@ class RawTable:
 
     error: float
     relative_error: float
+    relative_error_of_model: float
     model_over_raw: Difference
     samples: int
     words: str
@@ -69,6 +70,7 @@ class RawTable:
     def to_dict(self) -> dict[str, Any]:
         return {
             "error": self.error, "relative_error": self.relative_error,
+            "relative_error_of_model": self.relative_error_of_model,
             "model_over_raw": _ratio(self.model_over_raw), "samples": self.samples, "words": self.words,
         }  # fmt: skip
 

@@ -80,7 +80,11 @@ def select(
     for k, trial in enumerate(kept):
         share = _FOLDS + (1.0 - _FOLDS) * k / len(kept)
         progress(share, f"{trial.name}: fitting the whole table")
-        fits.append(fit(table, request(trial.fit.spec.model, wanted)))
+        # The chosen model's is the fit that one would get by its name.
+        if k == 0 or not data.whole or isinstance(table, CompressedTable):
+            fits.append(fit(table, request(trial.fit.spec.model, wanted, wanted.subset)))
+        else:
+            fits.append(trial.fit)
     clock["whole table"] = time.perf_counter() - begin - sum(clock.values())
     against = None if raw is None else _against_raw(data, raw, order[chosen])
     noise = _noise_ratio(data, order[chosen])
@@ -267,10 +271,10 @@ def _chosen(ranking: list[Ranked]) -> int:
 def _against_raw(data: Data, raw: RawPrediction, chosen: Trial) -> RawTable | None:
     if chosen.on_raw is None:
         return None
-    errors = raw.errors(data)
+    errors, judged = raw.errors(data), raw.folds(data)
     return RawTable(
-        score(errors), data.relative(raw.rows, raw.value), difference(chosen.on_raw, errors), len(raw.rows),
-        raw.words,
+        score(errors[judged]), data.relative(raw.rows, raw.value), chosen.relative_on_raw,
+        difference(chosen.on_raw[judged], errors[judged]), len(raw.rows), raw.words,
     )  # fmt: skip
 
 

@@ -28,8 +28,8 @@ class Trial:
     """A model that the table supports.
 
     fitted : (K,) errors by fold of the fit to all samples; held_out : (K,) of fits that had not seen the
-    fold; on_raw : (K,) the same on the samples that the raw table predicts. relative : the median relative
-    error, of held-out samples as soon as there are any.
+    fold; on_raw : (K,) the same on the samples that the raw table predicts. relative, relative_on_raw : the
+    median relative error, of held-out samples as soon as there are any.
     """
 
     fit: FitResult
@@ -39,6 +39,7 @@ class Trial:
     seconds: float
     held_out: FloatArray | None = None
     on_raw: FloatArray | None = None
+    relative_on_raw: float = float("nan")
 
     @property
     def name(self) -> str:
@@ -61,7 +62,10 @@ class Trial:
 def fitted(data: Data, model: ModelSpec, spec: SelectionSpec, progress: Progress) -> Trial:
     """The model fitted to all compared samples. Raises SpecError or FitError."""
     begin = time.perf_counter()
-    found = fit(data.part(data.rows), _of_part(data, model, spec), progress=progress)
+    if data.whole:
+        found = fit(data.table, request(model, spec, min(spec.subset, SEARCHED)), progress=progress)
+    else:
+        found = fit(data.part(data.rows), _of_part(data, model, spec), progress=progress)
     predicted = evaluated(found.model, *data.directions(data.rows))
     residuals = data.residuals(data.rows, predicted)
     return Trial(
@@ -96,16 +100,17 @@ def cross_validated(
         trial,
         held_out=data.errors(data.rows, data.residuals(data.rows, predicted)),
         on_raw=None if raw is None else data.errors(raw.rows, data.residuals(raw.rows, at_raw)),
+        relative_on_raw=float("nan") if raw is None else data.relative(raw.rows, at_raw),
         relative=data.relative(data.rows, predicted),
         seconds=trial.seconds + time.perf_counter() - begin,
     )
 
 
-def request(model: ModelSpec, spec: SelectionSpec) -> FitSpec:
-    """The fit of a model to the whole table: what one would ask for without any comparison."""
+def request(model: ModelSpec, spec: SelectionSpec, subset: int) -> FitSpec:
+    """The fit of a model to the whole table, its search on ``subset`` samples."""
     return FitSpec(
         model=model, metric=spec.metric, solver=spec.solver, select=spec.select, starts=spec.starts,
-        subset=spec.subset, seed=spec.seed,
+        subset=subset, seed=spec.seed,
     )  # fmt: skip
 
 

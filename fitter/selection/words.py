@@ -91,18 +91,17 @@ def _verdict(facts: Facts) -> str:
         return f"Whether it is good enough to replace the table can't be said: {why}.{beyond}"
     found = raw.model_over_raw
     numbers = (
-        f"the table's own interpolant ({raw.words}) predicts them to {_percent(raw.relative_error)}, and the "
-        f"error of {facts.chosen.model} is {found.ratio:.3g} times as large (95 % interval {found.lower:.3g} "
-        f"to {found.upper:.3g})"
+        f"of held-out samples {facts.chosen.model} has {found.ratio:.3g} times the error of the table's own "
+        f"interpolant, {raw.words} (95 % interval {found.lower:.3g} to {found.upper:.3g}; median relative "
+        f"errors {_percent(raw.relative_error_of_model)} and {_percent(raw.relative_error)})"
     )
     if verdict(facts) == "raw_table":
-        return (
-            f"No model is good enough: of held-out samples {numbers}; where that matters use the raw table."
-            f"{beyond}"
-        )
+        return f"No model is good enough, use the raw table: {numbers}.{beyond}"
+    closer = raw.relative_error * WORTH_THE_TABLE < raw.relative_error_of_model
+    typical = " A typical sample is closer to the interpolant than to the model." if closer else ""
     if found.upper < 1.0:
-        return f"It is better than the table itself: of held-out samples {numbers}.{beyond}"
-    return f"The table itself is not clearly better: of held-out samples {numbers}.{beyond}"
+        return f"It is better than the table itself: {numbers}.{typical}{beyond}"
+    return f"The table itself is not clearly better: {numbers}.{typical}{beyond}"
 
 
 def _limits(facts: Facts) -> list[str]:

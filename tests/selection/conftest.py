@@ -1,4 +1,4 @@
-"""Goniometer tables of known models, as a lab would measure them: scans, noise, and a little misfit."""
+"""Goniometer tables of known models, as a lab would measure them: scans, noise, a drifting instrument."""
 
 from __future__ import annotations
 
@@ -39,12 +39,15 @@ def measured(
     model: models.ReflectanceModel, seed: int = 1, *, noise: float = 0.02, misfit: float = 0.02,
     sigma: bool = False, **scans: object,
 ) -> fitter.Table:  # fmt: skip
-    """A table of ``model`` with relative noise and a smooth relative misfit that no candidate has."""
+    """A table of ``model`` with relative noise and, as ``misfit``, scales that differ from scan to scan: an
+    instrument that drifts. Residuals are then correlated, and no model predicts those of an unseen scan."""
     wi, wo = geometry(**scans)  # type: ignore[arg-type]
     value = np.asarray(model.evaluate(wi, wo))
-    wave = np.sin(7 * wi[:, 2] + 5 * wo[:, 2] + 3 * (wi * wo).sum(axis=1))[:, None]
+    rng = np.random.default_rng(seed)
+    _, scan = np.unique(np.round(wi[:, :2], 6), axis=0, return_inverse=True)
+    gain = 1 + misfit * rng.standard_normal(int(scan.max()) + 1)[scan.reshape(-1), None]
     u = noise * value
-    value = value * (1 + misfit * wave) + u * np.random.default_rng(seed).standard_normal(value.shape)
+    value = value * gain + u * rng.standard_normal(value.shape)
     return fitter.Table(wi=wi, wo=wo, value=value, sigma=u if sigma else None, channels=["value"])
 
 

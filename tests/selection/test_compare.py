@@ -1,4 +1,4 @@
-"""Differences, the one-standard-error rule, effective samples, the information criterion: against plain sums."""
+"""Differences, the one-standard-error rule, effective samples, information criterion: against plain sums."""
 
 from __future__ import annotations
 
