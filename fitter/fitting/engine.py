@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError, SpecError
-from fitter.fitting import nlopt_solver, search
+from fitter.fitting import metrics, nlopt_solver, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.metrics import linearised_weight
@@ -95,7 +95,7 @@ def fit(
     if isinstance(table, CompressedTable):
         reduction["compressed"] = {"tolerance": table.tolerance, "bytes": table.nbytes}
         table = table.decompress()
-    chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
+    chosen = request.metric or metrics.default(table.sigma is not None)
     places = layout(request)
     progress(0.0, "preparing samples")
     data = usable(table, chosen, request.select, anisotropic=not places.family.isotropic(request.model))

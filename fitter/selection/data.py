@@ -44,7 +44,7 @@ class Data:
     @staticmethod
     def of(table: Table, spec: SelectionSpec) -> Data:
         """Raises SpecError or FitError where nothing can be fitted."""
-        metric: Metric = spec.metric or ("measurement" if table.sigma is not None else "cbrt")
+        metric = spec.metric or metrics.default(table.sigma is not None)
         used = usable(table, metric, spec.select)
         isotropic = table.symmetry == "isotropic"
         dealt = blocks(used.pair[:3].T, used.pair[3:].T, spec.folds, isotropic=isotropic)

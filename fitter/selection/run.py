@@ -141,7 +141,7 @@ class _Run:
     def _try(self, models: list[ModelSpec], most: int) -> None:
         for model in models:
             name = model.name
-            if self._over_budget():
+            if self.trials and self._over_budget():
                 self._skip(name, f"not tried: the {self._spec.budget_seconds:g} s were spent")
                 continue
             share = _FITS * min(len(self._tried) / most, 1.0)
