@@ -96,7 +96,8 @@ def _verdict(facts: Facts) -> str:
         f"errors {_percent(raw.relative_error_of_model)} and {_percent(raw.relative_error)})"
     )
     if verdict(facts) == "raw_table":
-        return f"No model is good enough, use the raw table: {numbers}.{beyond}"
+        missed = _percent(raw.relative_error_of_model)
+        return f"No model is good enough, use the raw table where {missed} matter: {numbers}.{beyond}"
     closer = raw.relative_error * WORTH_THE_TABLE < raw.relative_error_of_model
     typical = " A typical sample is closer to the interpolant than to the model." if closer else ""
     if found.upper < 1.0:

@@ -106,7 +106,7 @@ def test_one_incidence_leaves_an_information_criterion_only(plain):
     assert any("one incidence only" in sentence for sentence in found.sentences)
 
 
-def test_a_table_that_no_model_describes_is_better_used_as_it_is(plain):
+def test_a_table_that_no_model_describes_is_better_used_as_it_is():
     wi, wo = geometry(tuple(range(0, 75, 5)), step=5.0)
     # A lobe that no mirror, no light and no normal is near.
     value = 0.05 + np.exp(-30 * np.square(wo - [0.0, 0.7, math.sqrt(0.51)]).sum(axis=1))
@@ -120,8 +120,9 @@ def test_a_table_that_no_model_describes_is_better_used_as_it_is(plain):
     assert found.chosen.warnings[-1].startswith("no model is good enough")
 
 
-def test_stated_noise_is_what_a_model_has_to_reach(plain):
-    found = checked(select(measured(known("ward"), misfit=0.0, sigma=True), candidates=plain))
+def test_stated_noise_is_what_a_model_has_to_reach():
+    table = measured(known("ward"), misfit=0.0, sigma=True)
+    found = checked(select(table, candidates=("lambert", "ward")))
     assert found.chosen.spec.model.name == "ward"
     assert found.noise_ratio == pytest.approx(1.0, abs=0.1)
     assert "noise alone" in found.sentences[1]
@@ -157,9 +158,10 @@ def test_bad_requests_are_refused_at_once():
         select(table, select={"channels": ["X"]})
 
 
-def test_progress_grows_and_stops_the_work(plain):
+def test_progress_grows_and_stops_the_work():
     seen: list[float] = []
-    select(measured(known("lambert")), candidates=plain, progress=lambda share, what: seen.append(share))
+    two = ("lambert", "oren_nayar")
+    select(measured(known("lambert")), candidates=two, progress=lambda share, what: seen.append(share))
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
@@ -168,7 +170,7 @@ def test_progress_grows_and_stops_the_work(plain):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        select(measured(known("lambert")), candidates=plain, progress=stop)
+        select(measured(known("lambert")), candidates=two, progress=stop)
 
 
 def test_a_budget_ends_the_list_and_says_so(plain):
@@ -179,7 +181,8 @@ def test_a_budget_ends_the_list_and_says_so(plain):
 
 def test_retro_reflective_tape_needs_several_lobes(shared: Path):
     table = fitter.load(shared / "measured/retro/retro-3M-jaune.dat", quantity="brdf")
-    found = checked(select(table, candidates=("lambert", "ward", "lafortune", "lafortune:2"), metric="cbrt"))
+    # A search as large as that of the folds: the last fit then needs no program of its own.
+    found = checked(select(table, candidates=("lambert", "lafortune", "lafortune:2"), subset=1024))
     assert found.folds["kind"] == "theta_o"
     assert found.chosen.spec.model.name == "lafortune:2"
     assert "Compared on 6,1" in found.sentences[-1]
@@ -190,10 +193,8 @@ def test_sintered_ptfe_is_diffuse_before_it_is_glossy(shared: Path):
         "lambda": "wavelength_um", "thetai": "theta_i_deg", "phi": "phi_i_deg", "thetar": "theta_o_deg",
         "phir": "phi_o_deg", "f_r11": "brdf",
     }  # fmt: skip
-    table = fitter.load(
-        shared / "measured/nist_ptfe/PTFE.data.csv", columns=declared, item="633nm"
-    )
-    found = checked(select(table, candidates=("lambert", "oren_nayar", "ward")))
+    table = fitter.load(shared / "measured/nist_ptfe/PTFE.data.csv", columns=declared, item="633nm")
+    found = checked(select(table, candidates=("lambert", "oren_nayar", "ward"), subset=1024))
     errors = {one.model: one.relative_error for one in found.ranking}
-    assert errors["lambert"] < 0.2
+    assert errors["lambert"] < 0.1
     assert found.folds["blocks"] >= 4
