@@ -141,7 +141,10 @@ class AlbedoDocument(BaseModel):
 
 
 class FitRequest(FitSpec):
-    """A fit to a table: ``model`` (a short name or its specification) or several ``models``."""
+    """A fit to a table: ``model`` (a short name or its specification) or several ``models``.
+
+    ``model`` "auto" compares models, ``candidates`` where they are named, on scans held out in ``folds``.
+    """
 
     model_config = ConfigDict(
         allow_inf_nan=False,
@@ -153,6 +156,9 @@ class FitRequest(FitSpec):
     table: str = Field(max_length=64, description="id of the table")
     model: ModelSpec | Label | None = None  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     models: Annotated[list[ModelSpec | Label], Field(min_length=1, max_length=16)] | None = None
+    candidates: Annotated[list[ModelSpec | Label], Field(min_length=1, max_length=32)] | None = None
+    folds: Annotated[int, Field(ge=3, le=20)] = 5
+    budget_seconds: Annotated[float, Field(gt=0, le=86_400)] | None = None
 
 
 class PosteriorRequest(PosteriorSpec):
@@ -174,7 +180,8 @@ class Progress(BaseModel):
 
 
 class JobDocument(BaseModel):
-    """Work that takes time. ``results`` link what it made, or hold the problem of a model that failed."""
+    """Work that takes time. ``results`` link what it made, or hold the problem of a model that failed, or the
+    comparison that "auto" made."""
 
     id: str = Field(examples=[_ID])
     kind: Literal["fit", "posterior"]

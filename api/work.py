@@ -14,7 +14,7 @@ from api.store import Store, new_id
 from api.tables import OpenTables
 from fitter.errors import FitterError
 from fitter.progress import Cancelled, Progress
-from fitter.spec import fit_spec, posterior_spec
+from fitter.spec import fit_spec, posterior_spec, selection_spec
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -54,6 +54,8 @@ class Worker:
             self._results.drop(row.id)
 
     def _fit(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        if "selection" in job.request:
+            return self._select(job, table, progress)
         specs = [fit_spec(one) for one in job.request["specs"]]
         outcome = Outcome()
         for k, spec in enumerate(specs):
@@ -75,6 +77,14 @@ class Worker:
             outcome.results.append(self._keep_fit(job, fit, outcome))
         if outcome.rows:
             outcome.problem = None
+        return outcome
+
+    def _select(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        """Compare models: the fits of the best, the chosen one's first, and the comparison."""
+        found = fitter.select(table, selection_spec(job.request["selection"]), progress=progress)
+        outcome = Outcome()
+        outcome.results += [self._keep_fit(job, fit, outcome) for fit in found.fits]
+        outcome.results.append({**found.summary(), "kind": "selection"})
         return outcome
 
     def _keep_fit(self, job: JobRow, fit: FitResult, outcome: Outcome) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Fit reflectance models to measured BRDF tables, with uncertainties.
 
-``load`` a table, ``fit`` a model to it, sample its ``posterior``, or draw from the raw table with
-``TableSampler``. Everything loads on first use: the command's help needs neither NumPy nor JAX, and tables
-and formats import no JAX.
+``load`` a table, ``fit`` a model to it or ``select`` one, sample its ``posterior``, or draw from the raw
+table with ``TableSampler``. Everything loads on first use: the command's help needs neither NumPy nor JAX,
+and tables and formats import no JAX.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ if TYPE_CHECKING:
     from fitter.posterior import Posterior
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
-    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
+    from fitter.selection import Selection, select
+    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, SelectionSpec
     from fitter.table import Channel, Grid, Metadata, Table
 
 __all__ = [
     "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
-    "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table",
-    "TableError", "TableSampler", "__version__", "check", "compress", "fit", "load", "load_all", "load_fit",
-    "models", "open_large", "posterior", "write",
+    "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "Selection",
+    "SelectionSpec", "SpecError", "Table", "TableError", "TableSampler", "__version__", "check", "compress",
+    "fit", "load", "load_all", "load_fit", "models", "open_large", "posterior", "select", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -42,14 +43,16 @@ _LAZY = {
     "LargeTable": "fitter.large", "open_large": "fitter.large",
     "Check": "fitter.quality", "check": "fitter.quality",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
+    "Selection": "fitter.selection", "select": "fitter.selection",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",
+    "SelectionSpec": "fitter.spec",
     "Channel": "fitter.table", "Grid": "fitter.table", "Metadata": "fitter.table", "Table": "fitter.table",
 }  # fmt: skip
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
     "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "quality",
-    "report", "sampling", "spec", "table",
+    "report", "sampling", "selection", "spec", "table",
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""ModelSpec, FitSpec, PosteriorSpec: what is asked for; shared by Python, the command line and HTTP."""
+"""ModelSpec, FitSpec, SelectionSpec, PosteriorSpec: what is asked for, by Python, command line and HTTP."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from pydantic import BaseModel, Field, model_validator
 from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Options, model_spec, validated
 
 __all__ = [
-    "CANON", "FAMILIES", "OPTIONS", "FitSpec", "Metric", "ModelSpec", "Options", "PosteriorSpec", "Select",
-    "Solver", "canonical_json", "fit_spec", "model_spec", "posterior_spec",
+    "AUTO", "CANON", "FAMILIES", "OPTIONS", "FitSpec", "Metric", "ModelSpec", "Options", "PosteriorSpec",
+    "Select", "SelectionSpec", "Solver", "canonical_json", "fit_spec", "model_spec", "posterior_spec",
+    "selection_spec",
 ]  # fmt: skip
 
 Metric = Literal["measurement", "absolute", "cosine", "log", "cbrt"]
 Solver = Literal["optimistix", "nlopt"]
+#: In the place of a model: compare models and take the one that the table supports.
+AUTO = "auto"
 
 
 class Select(Frozen):
@@ -51,6 +54,32 @@ class FitSpec(Frozen):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
+class SelectionSpec(Frozen):
+    """A comparison of models. What it has in common with FitSpec holds for every fit in it.
+
+    ``candidates`` None takes the families and their nested forms, as far as the table supports them.
+    ``budget_seconds`` ends the list of candidates early; without it the result depends on no clock.
+    """
+
+    candidates: Annotated[tuple[ModelSpec, ...], Field(min_length=1, max_length=32)] | None = None
+    metric: Metric | None = None
+    solver: Solver = "optimistix"
+    select: Select = Select()
+    starts: Annotated[int, Field(ge=1, le=1000)] | None = None
+    subset: Annotated[int, Field(ge=64, le=1_000_000)] = 4096
+    folds: Annotated[int, Field(ge=3, le=20)] = 5
+    budget_seconds: Annotated[float, Field(gt=0, le=86_400)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        names = [model.name for model in self.candidates or ()]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"{', '.join(twice)} is a candidate twice")
+        return self
+
+
 class PosteriorSpec(Frozen):
     """How a posterior is sampled. ``budget_seconds`` ends a run that has not reached its targets.
 
@@ -75,6 +104,14 @@ def fit_spec(given: Mapping[str, Any]) -> FitSpec:
     if isinstance(document.get("model"), str):
         document["model"] = ModelSpec.parse(document["model"])
     return validated(FitSpec, document)
+
+
+def selection_spec(given: Mapping[str, Any]) -> SelectionSpec:
+    """A SelectionSpec from a JSON-like mapping whose candidates may be short names. Raises SpecError."""
+    document = dict(given)
+    if document.get("candidates") is not None:
+        document["candidates"] = tuple(model_spec(one) for one in document["candidates"])
+    return validated(SelectionSpec, document)
 
 
 def posterior_spec(given: Mapping[str, Any]) -> PosteriorSpec:

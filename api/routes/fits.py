@@ -17,7 +17,7 @@ from api.store import new_id
 from fitter.documents import dumps
 from fitter.errors import SpecError
 from fitter.fitting import check
-from fitter.spec import fit_spec
+from fitter.spec import AUTO, FitSpec, fit_spec, selection_spec
 
 router = APIRouter(prefix="/v1", tags=["fits"])
 
@@ -26,8 +26,17 @@ router = APIRouter(prefix="/v1", tags=["fits"])
     "/fits", status_code=202, response_model=schemas.JobDocument, responses=problems(400, 404, 413, 422, 429)
 )
 def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dict[str, Any]:
-    """Fit one model, or several, to a table. The answer is a job; when done it links one fit a model."""
-    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"}, exclude_unset=True)
+    """Fit one model, or several, to a table, or compare models ("auto"). The answer is a job; when done it
+    links one fit a model."""
+    auto = {"candidates", "folds", "budget_seconds"}
+    if wanted.model == AUTO and wanted.models is None:
+        return _start(here, response, "fit", wanted.table, {"selection": _selection(wanted)})
+    if misplaced := sorted(auto & wanted.model_fields_set):
+        raise SpecError(
+            f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
+            remedy='give "model": "auto", or leave it out',
+        )  # fmt: skip
+    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"} | auto, exclude_unset=True)
     chosen = wanted.models if wanted.models is not None else [wanted.model]
     if (wanted.model is None) == (wanted.models is None):
         raise SpecError(
@@ -111,6 +120,24 @@ def fit_row(here: Service, id: str) -> ModelRow:
     if row is None or row.origin != "fit":
         raise Problem.not_found("fit", id)
     return row
+
+
+def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
+    """The SelectionSpec of a request, JSON-ready. Raises SpecError, also for what has no place in it."""
+    for name in ("fixed", "bounds"):
+        if getattr(wanted, name):
+            raise SpecError(
+                f'{name} can\'t go with the model "auto"', code="bad-spec", parameter=name,
+                cause="it names a parameter of one model", remedy="name the model",
+            )  # fmt: skip
+    spec = selection_spec(
+        wanted.model_dump(
+            mode="json", exclude={"table", "model", "models", "fixed", "bounds"}, exclude_unset=True
+        )
+    )
+    for model in spec.candidates or ():
+        check(FitSpec(model=model))
+    return spec.model_dump(mode="json")
 
 
 def _start(

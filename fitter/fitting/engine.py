@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fitter import progress, spec
 from fitter.compression import CompressedTable
-from fitter.errors import FitError
-from fitter.fitting import nlopt_solver, reduction, search
+from fitter.errors import FitError, SpecError
+from fitter.fitting import metrics, nlopt_solver, reduction, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.metrics import linearised_weight
@@ -52,13 +52,15 @@ def fit(
     seed: int = 0,
     progress: progress.Progress = progress.ignore,
 ) -> FitResult:
-    """Fit one model to a table by separable least squares.
+    """Fit one model to a table by separable least squares, or ``"auto"``: the one that the table supports.
 
     Parameters
     ----------
     table : a Table, a CompressedTable (then the result says with what tolerance), or a LargeTable, whose
         file every pass reads anew.
     model : a short name ("ward", "lafortune:2"), a ModelSpec, or a whole FitSpec, which then rules alone.
+        "auto" compares models (:func:`fitter.select`) and returns the chosen one's fit, with the ranking in
+        ``evidence["selection"]``.
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
     progress : called with (share, text); may raise to stop the fit.
 
@@ -67,6 +69,25 @@ def fit(
     SpecError : the request makes no sense for this model or table.
     FitError : nothing usable to fit, fewer values than parameters, or the solver failed.
     """
+    if model == spec.AUTO:
+        # Selection is built of fits: it can't be imported before this function is there.
+        from fitter.selection import select as compare
+
+        if isinstance(table, LargeTable):
+            raise SpecError(
+                "auto compares models on a table in memory", code="bad-spec", parameter="model",
+                remedy="name the model, or compare on a part of the table",
+            )  # fmt: skip
+        if fixed or bounds:
+            raise SpecError(
+                "fixed and bounds name parameters of one model, and auto compares several",
+                code="bad-spec", parameter="fixed" if fixed else "bounds",
+                remedy="name the model, or compare without them",
+            )  # fmt: skip
+        return compare(
+            table, metric=metric, solver=solver, select=select or Select(), starts=starts, subset=subset,
+            seed=seed, progress=progress,
+        ).chosen  # fmt: skip
     clock = Clock({}, time.perf_counter())
     if isinstance(model, FitSpec):
         request = model
@@ -82,7 +103,7 @@ def fit(
     if isinstance(table, CompressedTable):
         reduction["compressed"] = {"tolerance": table.tolerance, "bytes": table.nbytes}
         table = table.decompress()
-    chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
+    chosen = request.metric or metrics.default(table.sigma is not None)
     places = layout(request)
     progress(0.0, "preparing samples")
     turned = not places.family.isotropic(request.model)

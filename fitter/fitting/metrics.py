@@ -36,6 +36,11 @@ LOG_FLOOR = 1e-3
 QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
 
 
+def default(sigma_is_stated: bool) -> Metric:
+    """The metric of a fit that asks for none."""
+    return "measurement" if sigma_is_stated else "cbrt"
+
+
 def scaling(metric: Metric, scale: FloatArray) -> FloatArray:
     """By what a weight is multiplied so that squared residuals are multiplied by ``scale``.
 

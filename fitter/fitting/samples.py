@@ -102,6 +102,12 @@ class Usable:
         columns = self._columns(range(len(self.channels)))
         return None if self.table.sigma is None else self.table.sigma[self.index][:, columns]
 
+    @cached_property
+    def weight(self) -> FloatArray:
+        """(n, C) weights."""
+        block = self.part(range(len(self.channels)), slice(None), len(self.index))
+        return np.broadcast_to(block.weight, block.y.shape)
+
     def _pair(self, index: IntArray) -> FloatArray:
         return self._turned(np.concatenate([w.T for w in self.table.directions(index)]), index)
 

@@ -11,7 +11,16 @@ import numpy as np
 from fitter.errors import SpecError
 from fitter.formats import describe
 from fitter.quality import check
-from fitter.report import convergence, parameters, provenance, reflectance, residuals, slices, verdict
+from fitter.report import (
+    convergence,
+    parameters,
+    provenance,
+    reflectance,
+    residuals,
+    selection,
+    slices,
+    verdict,
+)
 from fitter.report.clean import clean
 from fitter.report.fitted import Fitted
 from fitter.report.report import KIND, VERSION, Report
@@ -65,7 +74,8 @@ def build(
         "slices": slices.section(fitted, posterior, seed),
         "reflectance": reflectance.section(fitted),
         "posterior": convergence.section(fitted, posterior),
-        "cost": {"cost": fit.cost, "evidence": fit.evidence, "table": _reduced(fit.table)},
+        "selection": selection.section(fit),
+        "cost": {"cost": fit.cost, "evidence": _search(fit.evidence), "table": _reduced(fit.table)},
         "table": _table(fitted),
         "quality": check(fitted.table).to_dict(),
         "comparison": [_compared(one) for one in (fit, *others)],
@@ -105,6 +115,11 @@ def _compared(fit: FitResult) -> dict[str, Any]:
         "status": fit.status,
         "table_hash": fit.table.get("hash"),
     }
+
+
+def _search(evidence: Mapping[str, Any]) -> dict[str, Any]:
+    """How the optimum was looked for, without how the model was chosen, which has its own section."""
+    return {name: value for name, value in evidence.items() if name != "selection"}
 
 
 def _reduced(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from fitter.table import Channel, Table
 
 if TYPE_CHECKING:
     from fitter.fitting.result import FitResult
-    from fitter.models.base import ReflectanceModel
     from fitter.posterior.result import Posterior
 
 FloatArray = NDArray[np.float64]
@@ -90,13 +89,6 @@ class Fitted:
     def subsample(self, size: int, seed: int) -> IndexArray:
         """At most ``size`` of :attr:`index`, drawn without replacement with ``seed``, in order."""
         return thin(self.index, size, seed)
-
-
-def evaluated(model: ReflectanceModel, wi: FloatArray, wo: FloatArray) -> FloatArray:
-    """(n, C) values of ``model`` in 1/sr; padded to one of few lengths, so that few programs are compiled."""
-    n = len(wi)
-    padding = ((0, max(1024, 1 << (n - 1).bit_length()) - n), (0, 0))
-    return np.asarray(model.evaluate(np.pad(wi, padding, mode="edge"), np.pad(wo, padding, mode="edge")))[:n]
 
 
 def thin(index: IndexArray, size: int, seed: int) -> IndexArray:

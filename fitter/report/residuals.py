@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.models.padded import evaluated
 from fitter.report.clean import drawn
-from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, evaluated, thin
+from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, thin
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.models.padded import evaluated
 from fitter.report.clean import drawn
-from fitter.report.fitted import Fitted, evaluated, restricted, thin
+from fitter.report.fitted import Fitted, restricted, thin
 from fitter.report.plane import incidence_groups, is_wide, near_plane, one_azimuth, signed_theta
 
 if TYPE_CHECKING:

@@ -113,6 +113,11 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
             f"The model reflects more than arrives at θ_i = {', '.join(f'{a:g}°' for a in high)}"
             + ("." if inside else ", outside the measured incidences.")
         )
+    selection = record["selection"]
+    if selection is not None and selection["verdict"] == "raw_table":
+        caution.append(selection["sentences"][1])
+    if selection is not None and selection["chosen"] != fit["model"]:
+        caution.append(f"The comparison of models chose {selection['chosen']}, not {fit['model']}.")
     if record["table"]["mismatch"]:
         bad.insert(0, record["table"]["mismatch"])
     return bad, caution

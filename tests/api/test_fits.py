@@ -43,6 +43,37 @@ def test_fit_is_a_model(client: Any, fit: str) -> None:
     assert np.isfinite(found["values"]).all()
 
 
+def test_auto_links_the_fits_of_the_best_models_and_the_comparison(
+    client: Any, table: str, wait: Callable[..., Any]
+) -> None:
+    wanted = {"table": table, "model": "auto", "candidates": ["lambert", "oren_nayar"], "folds": 3}
+    answer = client.post("/v1/fits", json=wanted)
+    assert answer.status_code == 202, answer.text
+    job = wait(client, answer.headers["location"])
+    assert job["state"] == "done", job
+    *fits, compared = job["results"]
+    assert compared["kind"] == "selection"
+    assert fits[0]["model"] == compared["chosen"]
+    assert {one["model"] for one in compared["ranking"]} == {"lambert", "oren_nayar"}
+    assert compared["folds"]["folds"] == 3
+    document = client.get(fits[0]["links"]["self"]).json()
+    assert document["evidence"]["selection"]["sentences"] == compared["sentences"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"model": "auto", "fixed": {"alpha": 0.1}}, {"model": "auto", "candidates": ["glass"]},
+        {"model": "auto", "candidates": ["smooth_dielectric"]}, {"model": "auto", "folds": 2},
+        {"model": "ward", "candidates": ["ward"]}, {"models": ["auto", "ward"]},
+        {"model": "auto", "models": ["ward"]},
+    ],
+)  # fmt: skip
+def test_auto_refuses_what_makes_no_sense(client: Any, table: str, body: dict[str, Any]) -> None:
+    answer = client.post("/v1/fits", json={"table": table, **body})
+    assert answer.status_code == 422, answer.text
+
+
 def test_reports(client: Any, fit: str) -> None:
     page = client.get(f"/v1/fits/{fit}/report.html")
     assert page.status_code == 200, page.text

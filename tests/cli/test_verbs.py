@@ -130,6 +130,40 @@ def test_fit_that_fails_says_why(run: Run, tmp_path: Path) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
+def test_fit_auto_ranks_models_and_writes_the_best(run: Run, plaster: Path, tmp_path: Path) -> None:
+    words = ("fit", plaster, "--model", "auto", "--candidates", "lambert,oren_nayar")
+    document = run(*words, "--out", tmp_path, "--json").document
+    assert document["kind"] == "brdf-fitter/fits"
+    ranking = document["selection"]["ranking"]
+    assert {one["model"] for one in ranking} == {"lambert", "oren_nayar"}
+    chosen = document["selection"]["chosen"]
+    assert document["fits"][0]["spec"]["model"]["family"] == chosen
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "lambert.json", "oren_nayar.json", "selection.json"
+    ]  # fmt: skip
+    assert fitter.load_fit(tmp_path / f"{chosen}.json").evidence["selection"]["chosen"] == chosen
+    shown = run(*words)
+    assert shown.status == 0
+    assert f"* {chosen}" in shown.out
+    assert document["selection"]["sentences"][0] in shown.out
+    assert run("report", tmp_path / f"{chosen}.json", "--out", tmp_path / "report").status == 0
+    assert "How the model was chosen" in (tmp_path / "report" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--model", "auto", "--model", "ward"), ("--candidates", "ward"),
+        ("--model", "auto", "--candidates", "x"), ("--model", "auto", "--candidates", "ward,ward"),
+        ("--model", "auto", "--fixed", "alpha=0.1"),
+    ],
+)  # fmt: skip
+def test_fit_auto_refuses_what_makes_no_sense(run: Run, plaster: Path, words: tuple[str, ...]) -> None:
+    ran = run("fit", plaster, *words, "--json")
+    assert ran.status == 2
+    assert ran.document["error"]["message"]
+
+
 def test_fit_of_a_compressed_table(run: Run, plaster: Path, tmp_path: Path) -> None:
     words = ["fit", plaster, "--model", "oren_nayar", "--compress", "0.01", "--out", tmp_path, "--json"]
     document = run(*words).document

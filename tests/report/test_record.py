@@ -23,7 +23,8 @@ from tests.report.conftest import MakeFit, MakePosterior, MakeTable, strict
 
 SECTIONS = (
     "kind", "version", "created", "title", "fit", "parameters", "correlation", "residuals", "slices",
-    "reflectance", "posterior", "cost", "table", "quality", "comparison", "provenance", "warnings", "verdict",
+    "reflectance", "posterior", "selection", "cost", "table", "quality", "comparison", "provenance",
+    "warnings", "verdict",
 )  # fmt: skip
 
 
@@ -82,6 +83,41 @@ def test_failures_are_said_first(
     assert verdict["level"] == "bad"
     assert "the last pass still moved." in verdict["reasons"][0]
     assert any("R-hat is 1.4." in reason for reason in verdict["reasons"])
+
+
+def test_the_choice_of_a_model_is_shown_and_its_verdict_counts(
+    make_table: MakeTable, make_fit: MakeFit
+) -> None:
+    table = make_table()
+    ratio = {"ratio": 1.2, "log_standard_error": 0.1, "lower_95": 1.1, "upper_95": 1.3}
+    ranked = {
+        "model": "ward", "parameters": 7, "error": 0.1, "relative_error": 0.2, "held_out": True,
+        "errors_by_fold": [0.1], "against_best": ratio, "as_good": True, "information_criterion": 0.0,
+        "status": "converged", "seconds": 1.0,
+    }  # fmt: skip
+    found = {
+        "chosen": "ward", "verdict": "raw_table", "method": "cross_validation", "folds": {},
+        "raw_table": None,
+        "sentences": ["Of 2 models, ward is chosen.", "No model is good enough, use the raw table."],
+        "raw_table_reason": None, "noise_ratio": None, "cost": {"seconds": 1.0},
+        "ranking": [ranked, {**ranked, "model": "lambert", "held_out": False, "against_best": None}],
+        "not_candidates": [{"model": m, "reason": "no azimuths"} for m in ("a:<b>", "lafortune:2")],
+    }  # fmt: skip
+    fit = make_fit(table)
+    fit = replace(fit, evidence={**fit.evidence, "selection": found})
+    report = build(table, fit)
+    record = strict(report, drawn=True)
+    assert found["sentences"][1] in record["verdict"]["reasons"]
+    assert record["selection"]["not_candidates"] == [
+        {"models": ["a:<b>", "lafortune:2"], "reason": "no azimuths"}
+    ]
+    assert "selection" not in record["cost"]["evidence"]
+    page = report.html()
+    for text in ("How the model was chosen", "1.100 to 1.300", "0.1000 (fitted)", "a:&lt;b&gt;, lafortune:2"):
+        assert text in page
+    other = replace(fit, evidence={"selection": {**found, "chosen": "lambert"}})
+    assert any("chose lambert, not ward" in one for one in build(table, other).record["verdict"]["reasons"])
+    assert strict(build(table, make_fit(table)))["selection"] is None
 
 
 def test_bounds_and_unidentified_parameters_are_put_into_words(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
-from fitter.cli.screen import Screen
+from fitter.cli.screen import Screen, number
 from fitter.cli.values import named_number, named_range, output_folder
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome, Verb
 from fitter.errors import FitError, SpecError
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from fitter.compression import CompressedTable
     from fitter.fitting import FitResult
     from fitter.large import LargeTable
-    from fitter.spec import FitSpec
+    from fitter.selection import Selection
+    from fitter.spec import FitSpec, SelectionSpec
     from fitter.table import Table
 
 
@@ -37,8 +38,12 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
     parser.add_argument(
         "--model", action="append", metavar="NAME",
-        help="a model's short name, as ward or lafortune:2 (repeatable; see `brdf-fitter models`; default: "
-        f"{', '.join(FAMILIES)})",
+        help="a model's short name, as ward or lafortune:2 (repeatable; see `brdf-fitter models`), or auto: "
+        f"compare models and take the one that the table supports (default: {', '.join(FAMILIES)})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--candidates", type=_names, metavar="NAME,...",
+        help="with --model auto: compare these models only",
     )  # fmt: skip
     parser.add_argument(
         "--metric", choices=get_args(Metric),
@@ -103,18 +108,10 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
                     f"--{option} names {name!r}, which is no nonlinear parameter of {', '.join(known)}",
                     code="unknown-parameter", parameter=name, remedy=f"the nonlinear parameters are {have}",
                 )  # fmt: skip
-    common: dict[str, Any] = {
-        "metric": given.metric, "solver": given.solver, "starts": given.starts, "subset": given.subset,
-        "seed": given.seed,
-        "select": {
-            "theta_i_max_deg": given.theta_i_max, "theta_o_max_deg": given.theta_o_max,
-            "channels": given.channels,
-        },
-    }  # fmt: skip
     return [
         fit_spec(
             {
-                **common,
+                **_common(given),
                 "model": model,
                 "fixed": {n: v for n, v in given.fixed if n in known[model.name]},
                 "bounds": {n: v for n, v in given.bounds if n in known[model.name]},
@@ -124,17 +121,59 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
     ]
 
 
+def selection(given: argparse.Namespace) -> SelectionSpec | None:
+    """What --model auto asks for, None where models are named. Raises SpecError."""
+    from fitter.spec import AUTO, selection_spec
+
+    if AUTO not in (given.model or ()):
+        if given.candidates is not None:
+            raise SpecError(
+                "--candidates belongs to --model auto", code="bad-call", parameter="candidates",
+                remedy="add --model auto, or name the models with --model",
+            )  # fmt: skip
+        return None
+    if len(given.model) > 1:
+        raise SpecError(
+            "--model auto stands alone", code="bad-call", parameter="model",
+            remedy="name the models to compare with --candidates",
+        )  # fmt: skip
+    for option, pairs in (("fixed", given.fixed), ("bounds", given.bounds)):
+        if pairs:
+            raise SpecError(
+                f"--{option} can't go with --model auto", code="bad-call", parameter=option,
+                cause="it names a parameter of one model", remedy="name the model",
+            )  # fmt: skip
+    return selection_spec({**_common(given), "candidates": given.candidates})
+
+
+def _common(given: argparse.Namespace) -> dict[str, Any]:
+    """The settings that a fit and a comparison have in common."""
+    return {
+        "metric": given.metric, "solver": given.solver, "starts": given.starts, "subset": given.subset,
+        "seed": given.seed,
+        "select": {
+            "theta_i_max_deg": given.theta_i_max, "theta_o_max_deg": given.theta_o_max,
+            "channels": given.channels,
+        },
+    }  # fmt: skip
+
+
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
     from fitter.cli.results import FITS, file_name, show_fit
 
+    chosen_by = selection(given)
     out = None if given.out is None else output_folder(given.out)
     if given.out_of_core and given.compress is not None:
         raise SpecError(
             "--compress needs the table in memory", code="bad-call", parameter="compress",
             remedy="leave out --compress or --out-of-core",
         )  # fmt: skip
-    wanted = specs(given)
+    if given.out_of_core and chosen_by is not None:
+        raise SpecError(
+            "auto compares models on a table in memory", code="bad-call", parameter="model",
+            remedy="name the model, or leave out --out-of-core",
+        )  # fmt: skip
     if given.out_of_core:
         options = reading.reading_options(given).to_dict()
         source = {"path": str(Path(given.table).resolve()), "options": options, "out_of_core": True}
@@ -145,7 +184,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
             opened = opened.compressed_to(given.compress)
         table, small, source = opened.table, opened.small, opened.source
     start_numerics(screen)
-    results, failures = fit_all(small or table, source, wanted, out, screen)
+    if chosen_by is not None:
+        return _compared(small or table, source, chosen_by, out, screen)
+    results, failures = fit_all(small or table, source, specs(given), out, screen)
 
     def show(screen: Screen) -> None:
         for result in results:
@@ -161,6 +202,64 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     else:
         document = {"kind": FITS, "fits": [result.to_dict() for result in results], "failures": failures}
     return Outcome(document, show, WORK_FAILED if failures else DONE)
+
+
+def _compared(
+    table: Table | CompressedTable | LargeTable, source: Mapping[str, Any], wanted: SelectionSpec,
+    out: Path | None, screen: Screen,
+) -> Outcome:
+    """Models compared; the best few are written like named ones, and the comparison beside them."""
+    from fitter.cli.results import FITS, file_name, remember, show_fit
+    from fitter.selection import select
+
+    with screen.progress("auto") as progress:
+        found = select(table, wanted, progress=progress)
+    results = [remember(result, source) for result in found.fits]
+    if out is not None:
+        for result in results:
+            result.save(out / file_name(result.spec.model.name))
+        found.save(out / "selection.json")
+
+    def show(screen: Screen) -> None:
+        show_selection(found, screen)
+        show_fit(results[0], screen)
+        if out is not None:
+            files = [file_name(result.spec.model.name) for result in results]
+            screen.line()
+            screen.line(f"written: {', '.join(str(out / name) for name in [*files, 'selection.json'])}")
+
+    document = {
+        "kind": FITS, "fits": [result.to_dict() for result in results], "failures": [],
+        "selection": found.summary(),
+    }  # fmt: skip
+    return Outcome(document, show)
+
+
+def show_selection(found: Selection, screen: Screen) -> None:
+    """The ranking, the models that were no candidates, and what follows from it all."""
+    rows: list[list[str]] = []
+    for one in found.ranking:
+        against = one.against_best
+        rows.append(
+            [
+                ("* " if one.model == found.chosen.spec.model.name else "  ") + one.model,
+                str(one.parameters),
+                number(one.error, 4) + ("" if one.held_out else " (fitted)"),
+                f"{100 * one.relative_error:.2g} %",
+                "-" if against is None else f"{against.ratio:.3f} [{against.lower:.3f}, {against.upper:.3f}]",
+                f"{one.information_criterion:.3g}",
+            ]
+        )
+    screen.table(("  model", "parameters", "error", "relative", "to the best [95 %]", "BIC"), rows)
+    by_reason: dict[str, list[str]] = {}
+    for one in found.not_candidates:
+        by_reason.setdefault(one.reason, []).append(one.model)
+    for reason, names in by_reason.items():
+        screen.line(f"  not compared: {', '.join(names)}: {reason}")
+    for sentence in found.sentences:
+        screen.line(sentence)
+    screen.line(f"{found.cost['fits']} fits in {found.cost['seconds']:.1f} s")
+    screen.line()
 
 
 def fit_all(
