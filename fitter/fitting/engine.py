@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError
-from fitter.fitting import nlopt_solver, search
+from fitter.fitting import metrics, nlopt_solver, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, channel_groups, layout
-from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import polish, support
 from fitter.fitting.result import FitResult
@@ -41,6 +40,7 @@ def fit(
     model: FitSpec | ModelSpec | str,
     *,
     metric: Metric | None = None,
+    weighting: spec.Weighting | None = None,
     solver: spec.Solver = "optimistix",
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -57,6 +57,8 @@ def fit(
     table : a Table, or a CompressedTable (then the result says with what tolerance).
     model : a short name ("ward", "lafortune:2"), a ModelSpec, or a whole FitSpec, which then rules alone.
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
+    weighting : "samples", or "solid_angle" for samples to count by the solid angles that they stand for; None
+        takes the latter for tables on a grid, but for the metrics "measurement" and "absolute".
     progress : called with (share, text); may raise to stop the fit.
 
     Raises
@@ -70,7 +72,7 @@ def fit(
     else:
         request = spec.fit_spec(
             {
-                "model": spec.model_spec(model), "metric": metric, "solver": solver,
+                "model": spec.model_spec(model), "metric": metric, "weighting": weighting, "solver": solver,
                 "fixed": dict(fixed or {}), "bounds": dict(bounds or {}), "select": select or Select(),
                 "starts": starts, "subset": subset, "seed": seed,
             }
@@ -82,7 +84,10 @@ def fit(
     chosen: Metric = request.metric or ("measurement" if table.sigma is not None else "cbrt")
     places = layout(request)
     progress(0.0, "preparing samples")
-    data = usable(table, chosen, request.select, anisotropic=not places.family.isotropic(request.model))
+    data = usable(
+        table, chosen, request.select, anisotropic=not places.family.isotropic(request.model),
+        weighting=metrics.weighting(chosen, request.weighting, table.grid is not None),
+    )  # fmt: skip
     groups = channel_groups(request, len(data.channels))
     places = layout(request, len(data.channels))
     _enough(data, places, len(groups[0]))
@@ -106,7 +111,7 @@ def _solve(
     # A power of two, so that few lengths are compiled for.
     size = max(1024, 1 << (len(index) - 1).bit_length())
     part = data.part(group, index, size, scale)
-    weight = np.asarray(linearised_weight(metric, part.y, part.weight, floor))
+    weight = np.asarray(metrics.linearised_weight(metric, part.y, part.weight, floor))
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
     basins, evidence = finder(places, part.pair, part.y, weight, request.starts, request.seed)
     clock.lap("search")
@@ -138,7 +143,7 @@ def _solve(
         )  # fmt: skip
     positions = [data.channels[c] for c in group]
     lives_on = support(places, metric, floor, end.p, full)
-    estimates = natural(places, end.p, end.normal, lives_on, positions, len(data), metric == "measurement")
+    estimates = natural(places, end.p, end.normal, lives_on, positions, len(data), data.likelihood)
     clock.lap("uncertainty")
     return Group(end, estimates, evidence, len(index), passes + end.passes)
 

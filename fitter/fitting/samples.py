@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.errors import FitError, SpecError
 from fitter.fitting import metrics
-from fitter.spec import Metric, Select
+from fitter.fitting.measures import measures
+from fitter.spec import Metric, Select, Weighting
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -41,11 +42,12 @@ class Usable:
     """What a fit uses of a table: arrays over its n usable, selected samples.
 
     pair : (6, n). value, weight : (n, C), weight w s of the metric. floor : (C,) of the metric.
-    metric : whose weights they are. channels : positions in the table.
+    metric, weighting : whose weights they are. channels : positions in the table.
     left_out : counts by reason of usable samples not used.
     """
 
     metric: Metric
+    weighting: Weighting
     pair: FloatArray
     value: FloatArray
     sigma: FloatArray | None
@@ -53,6 +55,11 @@ class Usable:
     floor: FloatArray
     channels: tuple[int, ...]
     left_out: dict[str, int]
+
+    @property
+    def likelihood(self) -> bool:
+        """Whether the objective is minus twice the logarithm of the likelihood, up to a constant."""
+        return self.metric == "measurement" and self.weighting == "samples"
 
     def __len__(self) -> int:
         return self.pair.shape[1]
@@ -110,7 +117,10 @@ class Usable:
         return index, times / (size * p[index])
 
 
-def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = False) -> Usable:
+def usable(
+    table: Table, metric: Metric, select: Select, *, anisotropic: bool = False,
+    weighting: Weighting = "samples",
+) -> Usable:  # fmt: skip
     """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError.
 
     ``anisotropic`` : of the model. The directions of an isotropic table are one representative each of all
@@ -143,12 +153,12 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
     if table.sigma is not None:
         sigma = table.sigma[index] if whole else table.sigma[index][:, list(channels)]
     floor = np.array([_scale(column) for column in value.T]) * metrics.LOG_FLOOR
-    if metric == "log":
+    if metric in metrics.POSITIVE:
         defined = (value > -floor).all(axis=1)
-        left_out["no logarithm"] = int((keep & ~defined).sum())
+        left_out[f"too negative for the metric {metric}"] = int((keep & ~defined).sum())
         keep &= defined
     if not keep.all():
-        wi, wo, value = wi[keep], wo[keep], value[keep]
+        index, wi, wo, value = index[keep], wi[keep], wo[keep], value[keep]
         sigma = None if sigma is None else sigma[keep]
     if len(value) == 0:
         raise FitError(
@@ -163,7 +173,8 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
         )  # fmt: skip
     if anisotropic and table.symmetry == "isotropic":
         wi, wo = _turned(wi, wo)
-    weight = metrics.base_weights(metric, value, sigma, wi[:, 2])
+    measure = measures(table, index) if weighting == "solid_angle" else None
+    weight = metrics.base_weights(metric, value, sigma, wi[:, 2], measure)
     # Sums of fourth powers have to stay numbers.
     largest = max(float(np.abs(value).max()), float(np.abs(weight * value).max()))
     if not 1.0 / LARGEST < largest < LARGEST or float(np.abs(weight).max()) > LARGEST:
@@ -174,6 +185,7 @@ def usable(table: Table, metric: Metric, select: Select, *, anisotropic: bool = 
         )  # fmt: skip
     return Usable(
         metric=metric,
+        weighting=weighting,
         pair=np.concatenate([wi.T, wo.T]),
         value=value,
         sigma=sigma,

@@ -102,8 +102,8 @@ def write_up(
         parameters=parameters,
         labels=tuple(labels),
         covariance=covariance,
-        uncertainty="curvature" if metric == "measurement" else "sandwich",
-        metrics=_metrics(metric, data, groups, solved),
+        uncertainty="curvature" if data.likelihood else "sandwich",
+        metrics=_metrics(data, solved),
         status=status,
         message=message,
         evidence={
@@ -125,8 +125,8 @@ def write_up(
         },
         table={
             "name": table.metadata.name, "hash": table.hash, "samples": len(table),
-            "usable": int(table.mask.sum()), "metric": metric, "domain": table.domain.to_dict(),
-            **used, **reduction,
+            "usable": int(table.mask.sum()), "metric": metric, "weighting": data.weighting,
+            "domain": table.domain.to_dict(), **used, **reduction,
         },
         warnings=warnings,
         versions={"brdf-fitter": __version__}
@@ -134,7 +134,7 @@ def write_up(
     )  # fmt: skip
 
 
-def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list[Group]) -> dict[str, float]:
+def _metrics(data: Usable, solved: list[Group]) -> dict[str, float]:
     values = data.value.size
     objective = sum(s.polished.normal.objective for s in solved)
     squared = sum(s.polished.normal.squared_error for s in solved)
@@ -146,7 +146,7 @@ def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list
         "relative_rmse": float(np.sqrt(sum(s.polished.normal.relative_error for s in solved) / values)),
         "r2": 1.0 - squared / spread if spread > 0 else float("nan"),
     }
-    if metric == "measurement" and values > free:
+    if data.likelihood and values > free:
         # Birge ratio: 1 where the stated noise explains the residuals.
         found["chi2_per_dof"] = objective / (values - free)
     return found

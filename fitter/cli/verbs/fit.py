@@ -27,7 +27,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """TABLE, the models, and every setting of a FitSpec."""
     from typing import get_args
 
-    from fitter.spec import FAMILIES, FitSpec, Metric, Solver
+    from fitter.spec import FAMILIES, FitSpec, Metric, Solver, Weighting
 
     default = {name: field.default for name, field in FitSpec.model_fields.items()}
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
@@ -38,7 +38,12 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--metric", choices=get_args(Metric),
-        help="what is minimised (default: measurement where the table states its uncertainty, else cosine)",
+        help="what is minimised (default: measurement where the table states its uncertainty, else cbrt)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--weighting", choices=get_args(Weighting),
+        help="whether every sample counts alike, or by the solid angles that it stands for (default: "
+        "solid_angle for tables on a grid, but for the metrics measurement and absolute)",
     )  # fmt: skip
     parser.add_argument(
         "--solver", choices=get_args(Solver), default=default["solver"],
@@ -100,8 +105,8 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
                     code="unknown-parameter", parameter=name, remedy=f"the nonlinear parameters are {have}",
                 )  # fmt: skip
     common: dict[str, Any] = {
-        "metric": given.metric, "solver": given.solver, "starts": given.starts, "subset": given.subset,
-        "seed": given.seed,
+        "metric": given.metric, "weighting": given.weighting, "solver": given.solver,
+        "starts": given.starts, "subset": given.subset, "seed": given.seed,
         "select": {
             "theta_i_max_deg": given.theta_i_max, "theta_o_max_deg": given.theta_o_max,
             "channels": given.channels,
