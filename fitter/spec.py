@@ -12,11 +12,12 @@ from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Optio
 
 __all__ = [
     "AUTO", "CANON", "FAMILIES", "OPTIONS", "FitSpec", "Metric", "ModelSpec", "Options", "PosteriorSpec",
-    "Select", "SelectionSpec", "Solver", "canonical_json", "fit_spec", "model_spec", "posterior_spec",
-    "selection_spec",
+    "Select", "SelectionSpec", "Solver", "Weighting", "canonical_json", "fit_spec", "model_spec",
+    "posterior_spec", "selection_spec",
 ]  # fmt: skip
 
-Metric = Literal["measurement", "absolute", "cosine", "log", "cbrt"]
+Metric = Literal["measurement", "absolute", "cosine", "relative", "log", "cbrt"]
+Weighting = Literal["samples", "solid_angle"]
 Solver = Literal["optimistix", "nlopt"]
 #: In the place of a model: compare models and take the one that the table supports.
 AUTO = "auto"
@@ -39,12 +40,15 @@ class Select(Frozen):
 class FitSpec(Frozen):
     """One fit. Separate from the table and stored with every result, so that it can be made again.
 
-    ``metric`` None takes "measurement" where the table states sigma, else "cbrt". ``fixed`` holds
-    nonlinear parameters at a value, ``bounds`` narrows their range.
+    ``metric`` None takes "measurement" where the table states sigma, else "cbrt". ``weighting`` says whether
+    every sample counts alike or by the solid angles that it stands for; None takes "solid_angle" for tables
+    on a grid, but for "measurement" and "absolute". ``fixed`` holds nonlinear parameters at a value,
+    ``bounds`` narrows their range.
     """
 
     model: ModelSpec
     metric: Metric | None = None
+    weighting: Weighting | None = None
     solver: Solver = "optimistix"
     fixed: Mapping[str, float] = Field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = Field(default_factory=dict)

@@ -61,7 +61,8 @@ def load_result(path: str | Path, model: str | None = None) -> FitResult:
 
 def best(results: Sequence[FitResult]) -> FitResult:
     """The fit with the smallest objective, converged ones first; relative rmse where metrics differ."""
-    metric = "objective" if len({result.table.get("metric") for result in results}) == 1 else "relative_rmse"
+    asked = {(result.table.get("metric"), result.table.get("weighting")) for result in results}
+    metric = "objective" if len(asked) == 1 else "relative_rmse"
     return min(results, key=lambda result: (result.status != "converged", result.metrics[metric]))
 
 

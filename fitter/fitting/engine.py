@@ -16,7 +16,6 @@ from fitter.errors import FitError, SpecError
 from fitter.fitting import metrics, nlopt_solver, reduction, search
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout, channel_groups, layout
-from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import CHUNK, errors, polish, scores
 from fitter.fitting.result import FitResult
@@ -43,6 +42,7 @@ def fit(
     model: FitSpec | ModelSpec | str,
     *,
     metric: Metric | None = None,
+    weighting: spec.Weighting | None = None,
     solver: spec.Solver = "optimistix",
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -62,6 +62,8 @@ def fit(
         "auto" compares models (:func:`fitter.select`) and returns the chosen one's fit, with the ranking in
         ``evidence["selection"]``.
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
+    weighting : "samples", or "solid_angle" for samples to count by the solid angles that they stand for; None
+        takes the latter for tables on a grid, but for the metrics "measurement" and "absolute".
     progress : called with (share, text); may raise to stop the fit.
 
     Raises
@@ -94,7 +96,7 @@ def fit(
     else:
         request = spec.fit_spec(
             {
-                "model": spec.model_spec(model), "metric": metric, "solver": solver,
+                "model": spec.model_spec(model), "metric": metric, "weighting": weighting, "solver": solver,
                 "fixed": dict(fixed or {}), "bounds": dict(bounds or {}), "select": select or Select(),
                 "starts": starts, "subset": subset, "seed": seed,
             }
@@ -111,7 +113,10 @@ def fit(
         reduction["out_of_core"] = {"sample": len(table.sample), "rows": table.rows}
         data = from_file(table, chosen, request.select, anisotropic=turned)
     else:
-        data = usable(table, chosen, request.select, anisotropic=turned)
+        data = usable(
+            table, chosen, request.select, anisotropic=turned,
+            weighting=metrics.weighting(chosen, request.weighting, table.grid is not None),
+        )  # fmt: skip
     groups = channel_groups(request, len(data.channels))
     places = layout(request, len(data.channels))
     _enough(data, places, len(groups[0]))
@@ -139,7 +144,7 @@ def _solve(
         part, examined = data.part(group, index, size, scale), len(index)
     else:
         part, examined = reduced, len(data)
-    weight = np.broadcast_to(linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
+    weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
     clock.lap("reduce")
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
     seen = slice(max(1024, 1 << (part.count - 1).bit_length()))
@@ -183,7 +188,7 @@ def _solve(
     found = errors(places, metric, floor, end.p, full)
     some, step = data.blocks_of_some(group)
     told = scores(places, metric, floor, end.p, some, step)
-    estimates = natural(places, end.p, end.normal, told, positions, len(data), metric == "measurement")
+    estimates = natural(places, end.p, end.normal, told, positions, len(data), data.likelihood)
     clock.lap("uncertainty")
     return Group(end, found, estimates, evidence | {"reduced": reduced is not None}, examined, passes)
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.errors import FitError, SpecError
 from fitter.fitting import metrics
-from fitter.spec import Metric, Select
+from fitter.fitting.measures import measures
+from fitter.spec import Metric, Select, Weighting
 from fitter.summary import Summary, summarise
 from fitter.table import Table
 
@@ -66,14 +67,16 @@ Blocks: TypeAlias = Sequence[Block] | Streamed
 class Usable:
     """What a fit uses of a table: n usable, selected samples.
 
-    metric : whose weights they are. index : (n,) of the samples in the table.
+    metric, weighting : whose weights they are. index : (n,) of the samples in the table.
     used : (N,) which samples of the table they are. channels : positions in the table.
     floor : (C,) of the metric. summary : of the values, (C,).
     turn : whether directions are turned about the normal, see :func:`usable`.
+    measure : (N,) what each sample of the table counts, None where all count alike.
     left_out : counts by reason of usable samples not used.
     """
 
     metric: Metric
+    weighting: Weighting
     table: Table
     index: IntArray
     used: NDArray[np.bool_]
@@ -81,7 +84,13 @@ class Usable:
     floor: FloatArray
     summary: Summary
     turn: bool
+    measure: FloatArray | None
     left_out: dict[str, int]
+
+    @property
+    def likelihood(self) -> bool:
+        """Whether the objective is minus twice the logarithm of the likelihood, up to a constant."""
+        return self.metric == "measurement" and self.weighting == "samples"
 
     def __len__(self) -> int:
         return len(self.index)
@@ -155,10 +164,13 @@ class Usable:
         y = _filled(self.table.value[rows][:, columns], used, size, 0.0)
         stated = self.table.sigma if self.metric == "measurement" else None
         sigma = None if stated is None else _filled(stated[rows][:, columns], used, size, 1.0)
-        weight = metrics.base_weights(self.metric, y, sigma, pair[2])
+        measure = None if self.measure is None else np.ones(size)
+        count = len(self.table.value[rows])
+        if measure is not None and self.measure is not None:
+            measure[:count] = self.measure[rows]
+        weight = metrics.base_weights(self.metric, y, sigma, pair[2], measure)
         if scale is not None:
             weight[: len(scale)] *= metrics.scaling(self.metric, scale)[:, None]
-        count = len(self.table.value[rows])
         weight[count:] = 0.0
         if used is not None:
             weight[:count] *= used[:, None]
@@ -270,7 +282,7 @@ def count(blocks: Blocks) -> int:
 
 def usable(
     table: Table, metric: Metric, select: Select, *, anisotropic: bool = False,
-    floor: FloatArray | None = None,
+    weighting: Weighting = "samples", floor: FloatArray | None = None,
 ) -> Usable:  # fmt: skip
     """The samples of ``table`` that a fit under ``metric`` uses. Raises SpecError or FitError.
 
@@ -295,10 +307,10 @@ def usable(
     if floor is None:
         floor = summary.typical[list(channels)] * metrics.LOG_FLOOR
         floor = np.where(floor > 0, floor, metrics.LOG_FLOOR)
-    if metric == "log":
+    if metric in metrics.POSITIVE:
         index = np.flatnonzero(used)
         undefined = index[~(table.value[index][:, list(channels)] > -floor).all(axis=1)]
-        left_out["no logarithm"] = len(undefined)
+        left_out[f"too negative for the metric {metric}"] = len(undefined)
         used = _without(used, undefined)
         summary = _summary(table, used)
     left_out = {why: n for why, n in left_out.items() if n}
@@ -316,9 +328,13 @@ def usable(
         )  # fmt: skip
     if not part:
         _check_size(table, metric, used, list(channels), float(summary.largest.max()))
+    index, measure = np.flatnonzero(used), None
+    if weighting == "solid_angle":
+        measure = np.zeros(len(used))
+        measure[index] = measures(table, index)
     return Usable(
-        metric, table, np.flatnonzero(used), used, channels, floor, summary,
-        anisotropic and table.symmetry == "isotropic", left_out,
+        metric, weighting, table, index, used, channels, floor, summary,
+        anisotropic and table.symmetry == "isotropic", measure, left_out,
     )  # fmt: skip
 
 

@@ -89,11 +89,11 @@ def from_file(table: LargeTable, metric: Metric, select: Select, *, anisotropic:
     some = usable(table.sample, metric, select, anisotropic=anisotropic, floor=floor)
     stands_for = by_stratum[_strata(some)]
     data = FromFile(
-        some.metric, some.table, some.index, some.used, some.channels, some.floor,
-        some.summary._replace(spread=_spread(table, some, stands_for)), some.turn, {}, table, select,
+        some.metric, some.weighting, some.table, some.index, some.used, some.channels, some.floor,
+        some.summary._replace(spread=_spread(table, some, stands_for)), some.turn, None, {}, table, select,
         anisotropic, stands_for, table.usable,
     )  # fmt: skip
-    if select.theta_i_max_deg is None and select.theta_o_max_deg is None and metric != "log":
+    if select.theta_i_max_deg is None and select.theta_o_max_deg is None and metric not in metrics.POSITIVE:
         return data
     count, left_out = 0, dict[str, int]()
     for part in table.parts():

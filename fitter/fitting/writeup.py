@@ -106,8 +106,8 @@ def write_up(
         parameters=parameters,
         labels=tuple(labels),
         covariance=covariance,
-        uncertainty="curvature" if metric == "measurement" else "sandwich",
-        metrics=_metrics(metric, data, groups, solved),
+        uncertainty="curvature" if data.likelihood else "sandwich",
+        metrics=_metrics(data, solved),
         status=status,
         message=message,
         evidence={
@@ -129,8 +129,8 @@ def write_up(
         },
         table={
             "name": table.metadata.name, "hash": table.hash, "samples": len(table),
-            "usable": table.usable, "metric": metric, "domain": table.domain.to_dict(),
-            **used, **reduction,
+            "usable": table.usable, "metric": metric, "weighting": data.weighting,
+            "domain": table.domain.to_dict(), **used, **reduction,
         },
         warnings=warnings,
         versions={"brdf-fitter": __version__}
@@ -138,7 +138,7 @@ def write_up(
     )  # fmt: skip
 
 
-def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list[Group]) -> dict[str, float]:
+def _metrics(data: Usable, solved: list[Group]) -> dict[str, float]:
     values = len(data) * len(data.channels)
     objective = sum(s.errors.objective for s in solved)
     squared = sum(s.errors.squared for s in solved)
@@ -150,7 +150,7 @@ def _metrics(metric: Metric, data: Usable, groups: list[list[int]], solved: list
         "relative_rmse": float(np.sqrt(sum(s.errors.relative for s in solved) / values)),
         "r2": 1.0 - squared / spread if spread > 0 else float("nan"),
     }
-    if metric == "measurement" and values > free:
+    if data.likelihood and values > free:
         # Birge ratio: 1 where the stated noise explains the residuals.
         found["chi2_per_dof"] = objective / (values - free)
     return found

@@ -49,6 +49,7 @@ def commands(fit: FitResult, posterior: Posterior | None) -> list[str]:
     words = ["brdf-fitter", "fit", file, "--model", spec.model.name]
     metric = spec.metric or fit.table.get("metric")
     words += ["--metric", str(metric)] if metric else []
+    words += ["--weighting", spec.weighting] if spec.weighting is not None else []
     words += ["--solver", spec.solver] if spec.solver != "optimistix" else []
     for name, value in spec.fixed.items():
         words += ["--fixed", f"{name}={value!r}"]

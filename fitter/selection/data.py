@@ -102,9 +102,10 @@ class Data:
 
     @cached_property
     def exact(self) -> float:
-        goal = metrics.target(
-            self.metric, self.used.value[self.rows], self.used.weight[self.rows], self.used.floor
-        )
+        weight = self.used.weight[self.rows]
+        goal = metrics.target(self.metric, self.used.value[self.rows], weight, self.used.floor)
+        if self.metric in metrics.QUADRATIC:
+            goal = weight * goal
         return max(EXACT * float(np.sqrt(np.mean(np.square(goal)))), 1e-300)
 
     def noise(self, rows: IndexArray, relative: float | None) -> FloatArray | None:

@@ -158,7 +158,7 @@ def _results(name: str, count: int, seed: int) -> Iterator[dict[str, Any]]:
 
 
 def judge(name: str, share: float, seed: int) -> Outcome:
-    count = max(20, round(PROBLEMS * share))
+    count = max(10, round(PROBLEMS * share))
     records = list(_results(name, count, seed))
     worse = [r for r in records if "error" in r or not r["fit"] - r["reference"] <= NEAR]
     poor = sum("error" not in r and r["fit"] < r["reference"] - NEAR for r in records)

@@ -32,7 +32,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """TABLE, the models, and every setting of a FitSpec."""
     from typing import get_args
 
-    from fitter.spec import FAMILIES, FitSpec, Metric, Solver
+    from fitter.spec import FAMILIES, FitSpec, Metric, Solver, Weighting
 
     default = {name: field.default for name, field in FitSpec.model_fields.items()}
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
@@ -47,7 +47,12 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--metric", choices=get_args(Metric),
-        help="what is minimised (default: measurement where the table states its uncertainty, else cosine)",
+        help="what is minimised (default: measurement where the table states its uncertainty, else cbrt)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--weighting", choices=get_args(Weighting),
+        help="whether every sample counts alike, or by the solid angles that it stands for (default: "
+        "solid_angle for tables on a grid, but for the metrics measurement and absolute)",
     )  # fmt: skip
     parser.add_argument(
         "--solver", choices=get_args(Solver), default=default["solver"],
@@ -112,6 +117,7 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
         fit_spec(
             {
                 **_common(given),
+                "weighting": given.weighting,
                 "model": model,
                 "fixed": {n: v for n, v in given.fixed if n in known[model.name]},
                 "bounds": {n: v for n, v in given.bounds if n in known[model.name]},
@@ -210,9 +216,11 @@ def _compared(
 ) -> Outcome:
     """Models compared; the best few are written like named ones, and the comparison beside them."""
     from fitter.cli.results import FITS, file_name, remember, show_fit
+    from fitter.large import LargeTable
     from fitter.selection import select
 
     with screen.progress("auto") as progress:
+        assert not isinstance(table, LargeTable)  # refused when the command was read
         found = select(table, wanted, progress=progress)
     results = [remember(result, source) for result in found.fits]
     if out is not None:
