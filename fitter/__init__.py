@@ -21,14 +21,15 @@ if TYPE_CHECKING:
     from fitter.posterior import Posterior
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
-    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
+    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, TradeoffSpec
     from fitter.table import Channel, Grid, Metadata, Table
+    from fitter.tradeoffs import Tradeoff, load_tradeoff, tradeoff
 
 __all__ = [
     "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
     "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "SpecError", "Table", "TableError",
-    "TableSampler", "__version__", "check", "compress", "fit", "load", "load_all", "load_fit", "models",
-    "posterior", "write",
+    "TableSampler", "Tradeoff", "TradeoffSpec", "__version__", "check", "compress", "fit", "load", "load_all",
+    "load_fit", "load_tradeoff", "models", "posterior", "tradeoff", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -41,13 +42,15 @@ _LAZY = {
     "Check": "fitter.quality", "check": "fitter.quality",
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",
+    "TradeoffSpec": "fitter.spec",
     "Channel": "fitter.table", "Grid": "fitter.table", "Metadata": "fitter.table", "Table": "fitter.table",
+    "Tradeoff": "fitter.tradeoffs", "load_tradeoff": "fitter.tradeoffs", "tradeoff": "fitter.tradeoffs",
 }  # fmt: skip
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
     "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "quality",
-    "report", "sampling", "spec", "table",
+    "report", "sampling", "spec", "table", "tradeoffs",
 )  # fmt: skip
 
 

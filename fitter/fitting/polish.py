@@ -246,6 +246,12 @@ def polish(
     return Polished(p, now, passes, False)
 
 
+def further_fall(layout: Layout, end: Polished) -> float:
+    """By how much the objective would fall with one more step, by its quadratic model."""
+    lower, upper = bounds(layout, len(end.p))
+    return _step(end.normal.matrix, end.normal.rhs, end.p, lower, upper, 0.0)[1]
+
+
 def _second_order(rest: FloatArray, before: Normal, after: Normal, step: FloatArray) -> FloatArray:
     """NL2SOL's update of the second-order part S so that (J^T J + S) step matches the gradients' change."""
     change = before.rhs - after.rhs  # of the half gradient, which is -rhs

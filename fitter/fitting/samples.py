@@ -21,6 +21,11 @@ BLOCK = 65_536
 LARGEST = 1e60
 
 
+def padded(samples: int) -> int:
+    """What a subset of so many samples is padded to: a power of two, so that few lengths are compiled for."""
+    return max(1024, 1 << (samples - 1).bit_length())
+
+
 @dataclass(frozen=True)
 class Block:
     """Samples padded to BLOCK; padding has weight 0.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
 from fitter.cli.screen import Screen
-from fitter.cli.values import named_number, named_range, output_folder
+from fitter.cli.values import duration, named_number, named_range, names, output_folder, share
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome, Verb
 from fitter.errors import FitError, SpecError
 
@@ -27,7 +27,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """TABLE, the models, and every setting of a FitSpec."""
     from typing import get_args
 
-    from fitter.spec import FAMILIES, FitSpec, Metric, Solver
+    from fitter.spec import FAMILIES, FitSpec, Metric, Polish, Solver
 
     default = {name: field.default for name, field in FitSpec.model_fields.items()}
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
@@ -58,11 +58,23 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--theta-o-max", type=float, metavar="DEG", help="leave out samples seen from beyond this"
     )
-    parser.add_argument("--channels", type=_names, metavar="NAME,...", help="fit these channels only")
+    parser.add_argument("--channels", type=names, metavar="NAME,...", help="fit these channels only")
     parser.add_argument("--starts", type=int, metavar="N", help="starting points of the global search")
     parser.add_argument(
         "--subset", type=int, default=default["subset"], metavar="N",
         help=f"samples that the global search looks at; the polish uses all (default: {default['subset']})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--polish", choices=get_args(Polish), default=default["polish"],
+        help=f"subset: never look beyond the subset (default: {default['polish']})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=duration, metavar="TIME",
+        help="the best fit within this, as 2s, compiling included; chooses --subset, --polish and --starts",
+    )  # fmt: skip
+    parser.add_argument(
+        "--target-error", type=share, metavar="E",
+        help="the cheapest fit whose rms residual is within this, as 1%%, of the same model's best",
     )  # fmt: skip
     parser.add_argument(
         "--seed", type=int, default=default["seed"], metavar="S",
@@ -76,18 +88,14 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
 def specs(given: argparse.Namespace) -> list[FitSpec]:
     """One FitSpec a model. Raises SpecError, also for a parameter that none of the models has."""
     from fitter.models import parameter_table
     from fitter.spec import FAMILIES, ModelSpec, fit_spec
 
     models = [ModelSpec.parse(name) for name in given.model or FAMILIES]
-    names = [model.name for model in models]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    asked = [model.name for model in models]
+    twice = sorted({name for name in asked if asked.count(name) > 1})
     if twice:
         raise SpecError(f"{', '.join(twice)} is asked for twice", code="bad-call", parameter="model")
     known = {model.name: {p.name for p in parameter_table(model) if not p.linear} for model in models}
@@ -101,6 +109,7 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
                 )  # fmt: skip
     common: dict[str, Any] = {
         "metric": given.metric, "solver": given.solver, "starts": given.starts, "subset": given.subset,
+        "polish": given.polish, "budget_seconds": given.budget, "target_error": given.target_error,
         "seed": given.seed,
         "select": {
             "theta_i_max_deg": given.theta_i_max, "theta_o_max_deg": given.theta_o_max,
