@@ -15,8 +15,18 @@ from sqlalchemy.engine import Connection, CursorResult
 from sqlalchemy.orm import Session
 
 from api.rows import (
-    CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow,
-)  # fmt: skip
+    CANCELLED,
+    DONE,
+    FAILED,
+    QUEUED,
+    RUNNING,
+    JobRow,
+    ModelRow,
+    PosteriorRow,
+    Row,
+    TableRow,
+    TradeoffRow,
+)
 
 _R = TypeVar("_R", bound=Row)
 

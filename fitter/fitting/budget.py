@@ -54,6 +54,7 @@ def fit_within(
     """
     begun = time.perf_counter()
     case = Case.of(table, request)
+    _check_target(case, request)
     book, notes, calibrating = opened(run, report)
     choice = choose(book, case, request)
     deciding = time.perf_counter() - begun - calibrating
@@ -87,8 +88,10 @@ def opened(run: Engine, report: progress.Progress) -> tuple[Book, list[str], flo
     book, notes = cost_model.load(cost_model.path())
     if book is not None:
         return book, notes, 0.0
+    begun = time.perf_counter()
     found = calibration.calibrate(run, report)
-    return Book(machine=cost_model.machine(), calibration=found), notes, found.seconds
+    spent = time.perf_counter() - begun
+    return Book(machine=cost_model.machine(), calibration=found), notes, spent
 
 
 def choose(book: Book, case: Case, request: FitSpec) -> Choice:
@@ -98,18 +101,8 @@ def choose(book: Book, case: Case, request: FitSpec) -> Choice:
     target, budget = request.target_error, request.budget_seconds
     good = options
     if target is not None:
-        least = min(prediction.error for _, prediction in options)
         enough = request.starts or case.usual_starts
-        careful = [(e, p) for e, p in options if p.error <= target and e.starts >= enough]
-        if not careful:
-            raise FitError(
-                f"a search error of {target:.2g} is unattainable: the passes over this table stop within "
-                f"{least:.1g} of the optimum of {name}",
-                code="unattainable", parameter="target_error",
-                cause="it is below what the arithmetic and the stopping rule resolve",
-                remedy=f"ask for {least:.1g} or more",
-            )  # fmt: skip
-        good = careful
+        good = [(e, p) for e, p in options if p.error <= target and e.starts >= enough]
     if budget is None:
         return Choice(*min(good, key=lambda option: option[1].seconds), options)
     sure = [(e, p) for e, p in good if p.seconds * _margin(p) <= budget]
@@ -130,6 +123,20 @@ def choose(book: Book, case: Case, request: FitSpec) -> Choice:
             remedy=f"give it {spoken(cheapest.seconds * _margin(cheapest))} or more",
         )  # fmt: skip
     return Choice(effort, cheapest, options)
+
+
+def _check_target(case: Case, request: FitSpec) -> None:
+    """Raise FitError for a target that no effort reaches: it takes no cost model to know that."""
+    least = min(case.error(effort) for effort in case.efforts(request.starts))
+    target = request.target_error
+    if target is not None and target < least:
+        raise FitError(
+            f"a search error of {target:.2g} is unattainable: the passes over this table stop within "
+            f"{least:.1g} of the optimum of {request.model.name}",
+            code="unattainable", parameter="target_error",
+            cause="it is below what the arithmetic and the stopping rule resolve",
+            remedy=f"ask for {1.1 * least:.1g} or more",
+        )  # fmt: skip
 
 
 def _margin(prediction: Prediction) -> float:

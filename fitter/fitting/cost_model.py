@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from fitter import _jax
 from fitter._version import __version__
@@ -54,10 +54,16 @@ class Line(Frozen):
     each: Annotated[float, Field(gt=0, le=1e3)]
 
 
+def _of_every_phase(found: Mapping[Phase, Any]) -> Mapping[Phase, Any]:
+    if set(found) != set(PHASES):
+        raise ValueError(f"phases {sorted(found)} instead of {sorted(PHASES)}")
+    return found
+
+
 class Calibration(Frozen):
     """Of one model: the lines of the phases, and seconds of compiling its search and everything else."""
 
-    lines: Mapping[Phase, Line]
+    lines: Annotated[Mapping[Phase, Line], AfterValidator(_of_every_phase)]
     compile_search: Seconds
     compile_rest: Seconds
     seconds: Seconds
@@ -73,7 +79,7 @@ class Run(Frozen):
     starts: Annotated[int, Field(ge=0)]
     full: bool
     passes: Annotated[int, Field(ge=0)]
-    seconds: Mapping[Phase, Seconds]
+    seconds: Annotated[Mapping[Phase, Seconds], AfterValidator(_of_every_phase)]
     compile_search: Seconds | None
     compile_rest: Seconds | None
     cached: bool

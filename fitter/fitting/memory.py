@@ -46,7 +46,8 @@ class MemoryWatch:
         """(peak, growth) in bytes so far; no growth where the system does not tell what is resident."""
         mark = _high_water()
         now = resident()
-        peak = mark if mark > self._mark or now is None else max(self.peak, now)
+        seen = max(self.peak, now or 0)
+        peak = max(mark, seen) if mark > self._mark or now is None else seen
         return peak, None if self.before is None else max(0, peak - self.before)
 
     def _look(self) -> None:
