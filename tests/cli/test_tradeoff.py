@@ -20,7 +20,7 @@ BARE = (
 
 #: Of a made-up machine.
 CALIBRATION = Calibration(
-    lines=dict.fromkeys(PHASES, Line(fixed=1e-3, each=1e-8)), compile_search=2.0, compile_rest=1.0, seconds=5.0
+    lines=dict.fromkeys(PHASES, Line(fixed=1e-3, each=1e-8)), compile_search=2.0, compile_rest=1.0, seconds=5
 )
 
 
