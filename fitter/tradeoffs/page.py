@@ -66,6 +66,9 @@ def said_of_reference(one: Any) -> str:
             f"; an exhaustive scan of {scan['nodes']:,} nodes found {scan['minima']} minima, its lowest node "
             f"{scan['best_node']:+.2g} of the objective away"
         )
+        if one["metric"] in ("log", "cbrt"):
+            # Two objectives, so that a node may be a little lower without there being a better optimum.
+            text += " (of the tangent that the search sees, not of the metric itself)"
     return text + "."
 
 
