@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow
+from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow, TradeoffRow
 
 
 def when(seconds: float) -> str:
@@ -69,6 +69,21 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     }  # fmt: skip
 
 
+def tradeoff(row: TradeoffRow) -> dict[str, Any]:
+    links = {"self": f"/v1/tradeoffs/{row.id}", "table": f"/v1/tables/{row.table_id}"}
+    links |= {"job": f"/v1/jobs/{row.job_id}", **tradeoff_links(row.id)}
+    return {
+        "id": row.id, "created": when(row.created), "table": row.table_id, "job": row.job_id, **row.summary,
+        "links": links,
+    }  # fmt: skip
+
+
+def tradeoff_links(id: str) -> dict[str, str]:
+    """What is drawn of a tradeoff."""
+    here = f"/v1/tradeoffs/{id}"
+    return {"report": f"{here}/report.html", "picture": f"{here}/picture.png"}
+
+
 def _model_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/models/{row.id}"
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "sample", "pdf", "albedo")}}
@@ -80,6 +95,8 @@ def _result(one: dict[str, Any]) -> dict[str, Any]:
         return one
     here = f"/v1/{one['kind']}s/{one['id']}"
     links = {"self": here}
+    if one["kind"] == "tradeoff":
+        links |= tradeoff_links(one["id"])
     if one["kind"] == "fit":
         links |= {"model": f"/v1/models/{one['id']}", "report": f"{here}/report.html"}
     return {**one, "links": links}

@@ -1,4 +1,4 @@
-"""Results: one JSON document a fit or posterior, in files named by the row's id."""
+"""Results: one JSON document a fit, posterior or tradeoff, in files named by the row's id."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ class Results:
         return dict(read_document(self._path(id), "result-missing"))
 
     def drop(self, id: str) -> None:
-        """Delete a document that no row came to name."""
+        """Delete a document that no row came to name, and what was drawn of it."""
         self._path(id).unlink(missing_ok=True)
+        for report in self._folder.glob(f"{id}.report.*"):
+            report.unlink(missing_ok=True)
 
     def report(self, id: str, kind: str) -> bytes | None:
         """A report made before, None if there is none."""

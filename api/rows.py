@@ -66,6 +66,16 @@ class ModelRow(Row):
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
 
 
+class TradeoffRow(Row):
+    """What accuracy costs, measured on a table."""
+
+    __tablename__ = "tradeoffs"
+
+    table_id: Mapped[str] = mapped_column(String(32))
+    job_id: Mapped[str] = mapped_column(String(32))
+    summary: Mapped[dict[str, Any]]
+
+
 class PosteriorRow(Row):
     """A sampled posterior of a fit."""
 

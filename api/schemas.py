@@ -6,7 +6,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
+from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, TradeoffSpec
 
 _T = TypeVar("_T")
 
@@ -172,6 +172,21 @@ class PosteriorRequest(PosteriorSpec):
     fit: str = Field(max_length=64, description="id of the fit")
 
 
+class TradeoffRequest(TradeoffSpec):
+    """What to measure on a table: see ``TradeoffSpec``. Models are short names or specifications."""
+
+    model_config = ConfigDict(
+        allow_inf_nan=False,
+        json_schema_extra={
+            "example": {"table": _ID, "models": ["ward"], "time_limit_seconds": 30, "posterior": False}
+        },
+    )
+
+    table: str = Field(max_length=64, description="id of the table")
+    models: Annotated[list[ModelSpec | Label], Field(min_length=1, max_length=16)]  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    time_limit_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
+
+
 class Progress(BaseModel):
     """How far a job is: share in [0, 1], and what it is doing."""
 
@@ -184,7 +199,7 @@ class JobDocument(BaseModel):
     comparison that "auto" made."""
 
     id: str = Field(examples=[_ID])
-    kind: Literal["fit", "posterior"]
+    kind: Literal["fit", "posterior", "tradeoff"]
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     progress: Progress
     attempt: int
@@ -242,6 +257,33 @@ class PosteriorDocument(BaseModel):
     diagnostics: dict[str, Any]
     status: str
     message: str
+    links: dict[str, str]
+
+
+class TradeoffSummary(BaseModel):
+    """One tradeoff in a list."""
+
+    id: str = Field(examples=[_ID])
+    created: str
+    table: str
+    job: str
+    models: list[str]
+    points: int
+    seconds: float
+    links: dict[str, str]
+
+
+class TradeoffDocument(BaseModel):
+    """The whole tradeoff, as ``brdf-fitter tradeoff --json`` prints it, with its id and links."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    kind: Literal["brdf-fitter/tradeoff"]
+    points: list[dict[str, Any]]
+    compression: list[dict[str, Any]]
+    posterior: dict[str, Any] | None
+    skipped: list[str]
     links: dict[str, str]
 
 

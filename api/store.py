@@ -14,7 +14,19 @@ from sqlalchemy import ColumnElement, Engine, create_engine, event, func, select
 from sqlalchemy.engine import Connection, CursorResult
 from sqlalchemy.orm import Session
 
-from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, ModelRow, PosteriorRow, Row, TableRow
+from api.rows import (
+    CANCELLED,
+    DONE,
+    FAILED,
+    QUEUED,
+    RUNNING,
+    JobRow,
+    ModelRow,
+    PosteriorRow,
+    Row,
+    TableRow,
+    TradeoffRow,
+)
 
 _R = TypeVar("_R", bound=Row)
 
@@ -201,7 +213,7 @@ class Store:
         with self.reading() as session:
             by_state = session.execute(select(JobRow.state, func.count()).group_by(JobRow.state))
             found = {"jobs": {str(state): int(count) for state, count in by_state}}
-            for kind in (TableRow, ModelRow, PosteriorRow):
+            for kind in (TableRow, ModelRow, PosteriorRow, TradeoffRow):
                 found[kind.__tablename__] = {"": session.scalar(select(func.count()).select_from(kind)) or 0}
             return found
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import fitter
 from api.problems import Problem, of_fitter_error
 from api.results import Results
-from api.rows import JobRow, ModelRow, PosteriorRow, Row, TableRow
+from api.rows import JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
 from api.store import Store, new_id
 from api.tables import OpenTables
 from fitter.errors import FitterError
 from fitter.progress import Cancelled, Progress
-from fitter.spec import fit_spec, posterior_spec, selection_spec
+from fitter.spec import fit_spec, posterior_spec, selection_spec, tradeoff_spec
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -46,7 +46,8 @@ class Worker:
         if row is None:
             raise Problem.not_found("table", job.table_id)
         table = self._tables.open(row).table
-        return {"fit": self._fit, "posterior": self._posterior}[job.kind](job, table, progress)
+        work = {"fit": self._fit, "posterior": self._posterior, "tradeoff": self._tradeoff}
+        return work[job.kind](job, table, progress)
 
     def discard(self, outcome: Outcome) -> None:
         """Delete the files of an outcome that was not published."""
@@ -117,3 +118,20 @@ class Worker:
         )
         result = {"kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status}
         return Outcome([row], [result])
+
+    def _tradeoff(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        from fitter.tradeoffs import tradeoff
+
+        found = tradeoff(table, tradeoff_spec(job.request["spec"]), progress=progress)
+        # Drawn here and not when somebody looks: a worker has the time, and the picture never changes.
+        page, picture = found.html().encode(), found.picture("png")
+        id = new_id()
+        self._results.write(id, found.to_dict())
+        self._results.write_report(id, "html", page)
+        self._results.write_report(id, "png", picture)
+        names = [model.name for model in found.spec.models]
+        summary = {"models": names, "points": len(found.points), "seconds": found.seconds}
+        row = TradeoffRow(
+            id=id, created=time.time(), table_id=job.table_id, job_id=job.id, summary=summary
+        )  # fmt: skip
+        return Outcome([row], [{"kind": "tradeoff", "models": names, "id": id, "status": "done"}])

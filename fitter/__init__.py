@@ -23,14 +23,16 @@ if TYPE_CHECKING:
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
     from fitter.selection import Selection, select
-    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, SelectionSpec
+    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, SelectionSpec, TradeoffSpec
     from fitter.table import Channel, Grid, Metadata, Table
+    from fitter.tradeoffs import Tradeoff, load_tradeoff, tradeoff
 
 __all__ = [
     "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
     "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "Selection",
-    "SelectionSpec", "SpecError", "Table", "TableError", "TableSampler", "__version__", "check", "compress",
-    "fit", "load", "load_all", "load_fit", "models", "open_large", "posterior", "select", "write",
+    "SelectionSpec", "SpecError", "Table", "TableError", "TableSampler", "Tradeoff", "TradeoffSpec",
+    "__version__", "check", "compress", "fit", "load", "load_all", "load_fit", "load_tradeoff", "models",
+    "open_large", "posterior", "select", "tradeoff", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
@@ -45,14 +47,15 @@ _LAZY = {
     "Samples": "fitter.sampling", "TableSampler": "fitter.sampling",
     "Selection": "fitter.selection", "select": "fitter.selection",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",
-    "SelectionSpec": "fitter.spec",
+    "SelectionSpec": "fitter.spec", "TradeoffSpec": "fitter.spec",
     "Channel": "fitter.table", "Grid": "fitter.table", "Metadata": "fitter.table", "Table": "fitter.table",
+    "Tradeoff": "fitter.tradeoffs", "load_tradeoff": "fitter.tradeoffs", "tradeoff": "fitter.tradeoffs",
 }  # fmt: skip
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
     "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "quality",
-    "report", "sampling", "selection", "spec", "table",
+    "report", "sampling", "selection", "spec", "table", "tradeoffs",
 )  # fmt: skip
 
 

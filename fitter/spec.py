@@ -1,4 +1,4 @@
-"""ModelSpec, FitSpec, SelectionSpec, PosteriorSpec: what is asked for, by Python, command line and HTTP."""
+"""ModelSpec, FitSpec and the like: what is asked for; shared by Python, the command line and HTTP."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pydantic import BaseModel, Field, model_validator
 from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Options, model_spec, validated
 
 __all__ = [
-    "AUTO", "CANON", "FAMILIES", "OPTIONS", "FitSpec", "Metric", "ModelSpec", "Options", "PosteriorSpec",
-    "Select", "SelectionSpec", "Solver", "Weighting", "canonical_json", "fit_spec", "model_spec",
-    "posterior_spec", "selection_spec",
+    "AUTO", "CANON", "FAMILIES", "OPTIONS", "FitSpec", "Metric", "ModelSpec", "Options", "Polish",
+    "PosteriorSpec", "Select", "SelectionSpec", "Solver", "TradeoffSpec", "Weighting", "canonical_json",
+    "fit_spec", "model_spec", "posterior_spec", "selection_spec", "tradeoff_spec",
 ]  # fmt: skip
 
 Metric = Literal["measurement", "absolute", "cosine", "relative", "log", "cbrt"]
@@ -21,6 +21,11 @@ Weighting = Literal["samples", "solid_angle"]
 Solver = Literal["optimistix", "nlopt"]
 #: In the place of a model: compare models and take the one that the table supports.
 AUTO = "auto"
+#: "full" ends with passes over the whole table, "subset" never looks beyond the weighted subset.
+Polish = Literal["full", "subset"]
+Starts = Annotated[int, Field(ge=1, le=1000)]
+SubsetSize = Annotated[int, Field(ge=64, le=1_000_000)]
+Tolerance = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Select(Frozen):
@@ -44,6 +49,9 @@ class FitSpec(Frozen):
     every sample counts alike or by the solid angles that it stands for; None takes "solid_angle" for tables
     on a grid, but for "measurement" and "absolute". ``fixed`` holds nonlinear parameters at a value,
     ``bounds`` narrows their range.
+
+    ``budget_seconds`` or ``target_error`` leave the effort (``subset``, ``polish``, and ``starts`` where it
+    is None) to :mod:`fitter.fitting.budget`; the result's specification is the one that was chosen.
     """
 
     model: ModelSpec
@@ -53,8 +61,34 @@ class FitSpec(Frozen):
     fixed: Mapping[str, float] = Field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = Field(default_factory=dict)
     select: Select = Select()
-    starts: Annotated[int, Field(ge=1, le=1000)] | None = None
-    subset: Annotated[int, Field(ge=64, le=1_000_000)] = 4096
+    starts: Starts | None = None
+    subset: SubsetSize = 4096
+    polish: Polish = "full"
+    budget_seconds: Annotated[float, Field(gt=0, le=86_400)] | None = None
+    target_error: Annotated[float, Field(gt=0, lt=1)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+
+class TradeoffSpec(Frozen):
+    """What a tradeoff measures: see :mod:`fitter.tradeoffs.design`.
+
+    ``models`` : the first gets the whole design, the others their default, cheap and reference fits.
+    ``metrics``, ``solvers``, ``subsets``, ``starts``, ``tolerances`` : further values of each axis; None
+    takes the usual ones, an empty tuple leaves the axis out. ``time_limit_seconds`` ends the measuring
+    between two fits; what was not reached is listed.
+    """
+
+    models: Annotated[tuple[ModelSpec, ...], Field(min_length=1, max_length=16)]
+    metric: Metric | None = None
+    metrics: Annotated[tuple[Metric, ...], Field(max_length=8)] | None = None
+    solvers: Annotated[tuple[Solver, ...], Field(max_length=4)] | None = None
+    subsets: Annotated[tuple[SubsetSize, ...], Field(max_length=16)] | None = None
+    starts: Annotated[tuple[Starts, ...], Field(max_length=16)] | None = None
+    tolerances: Annotated[tuple[Tolerance, ...], Field(max_length=16)] | None = None
+    posterior: bool = True
+    select: Select = Select()
+    repeats: Annotated[int, Field(ge=1, le=100)] = 5
+    time_limit_seconds: Annotated[float, Field(gt=0, le=86_400)] = 60.0
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
@@ -116,6 +150,15 @@ def selection_spec(given: Mapping[str, Any]) -> SelectionSpec:
     if document.get("candidates") is not None:
         document["candidates"] = tuple(model_spec(one) for one in document["candidates"])
     return validated(SelectionSpec, document)
+
+
+def tradeoff_spec(given: Mapping[str, Any]) -> TradeoffSpec:
+    """A TradeoffSpec from a JSON-like mapping whose models may be short names. Raises SpecError."""
+    document = dict(given)
+    models: Any = document.get("models")
+    if isinstance(models, list | tuple):
+        document["models"] = [ModelSpec.parse(one) if isinstance(one, str) else one for one in models]  # pyright: ignore[reportUnknownVariableType]
+    return validated(TradeoffSpec, document)
 
 
 def posterior_spec(given: Mapping[str, Any]) -> PosteriorSpec:

@@ -145,6 +145,8 @@ class Table:
         duplicates: Literal["mask", "keep"] = "mask",
     ) -> None:
         self.metadata = metadata or Metadata()
+        #: Seconds that :func:`fitter.load` took to read it; None where nobody knows.
+        self.load_seconds: float | None = None
         self.grid = grid
         self.value = _columns("value", value)
         n = len(self.value)

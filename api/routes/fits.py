@@ -30,7 +30,7 @@ def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dic
     links one fit a model."""
     auto = {"candidates", "folds", "budget_seconds"}
     if wanted.model == AUTO and wanted.models is None:
-        return _start(here, response, "fit", wanted.table, {"selection": _selection(wanted)})
+        return start(here, response, "fit", wanted.table, {"selection": _selection(wanted)})
     if misplaced := sorted(auto & wanted.model_fields_set):
         raise SpecError(
             f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
@@ -50,7 +50,7 @@ def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dic
     if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
         check(specs[0])
     request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
-    return _start(here, response, "fit", wanted.table, request)
+    return start(here, response, "fit", wanted.table, request)
 
 
 @router.post(
@@ -66,7 +66,7 @@ def start_posterior(wanted: schemas.PosteriorRequest, here: Here, response: Resp
             409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
         )
     spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
-    return _start(here, response, "posterior", row.table_id, {"fit": row.id, "spec": spec})
+    return start(here, response, "posterior", row.table_id, {"fit": row.id, "spec": spec})
 
 
 @router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
@@ -140,9 +140,10 @@ def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
     return spec.model_dump(mode="json")
 
 
-def _start(
+def start(
     here: Service, response: Response, kind: str, table: str, request: dict[str, Any]
 ) -> dict[str, Any]:
+    """Queue a job that works on a table; the answer that names it. Raises Problem (404, 429)."""
     if here.store.get(TableRow, table) is None:
         raise Problem.not_found("table", table)
     job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)

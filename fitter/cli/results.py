@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitter.cli.screen import Screen, number
+from fitter.cli.screen import Screen, file_size, number
 from fitter.errors import SpecError
 
 if TYPE_CHECKING:
@@ -90,5 +90,23 @@ def show_fit(result: FitResult, screen: Screen) -> None:
                 ]
             )
     screen.table(("parameter", "estimate", "u (k=1)", "unit", ""), rows)
+    screen.line(f"  cost: {cost_in_words(result)}")
+    told = result.cost.get("budget")
+    if told is not None:
+        for text in (told["sentence"], told["ten_times"]["sentence"], *told["notes"]):
+            screen.line(f"  budget: {text}")
     for warning in result.warnings:
         screen.line(f"  warning: {warning}")
+
+
+def cost_in_words(result: FitResult) -> str:
+    """Seconds of each phase that took any, passes over the data, and memory."""
+    cost = result.cost
+    phases: Mapping[str, float] = cost.get("phases", {})
+    parts = [f"{name} {number(spent, 2)} s" for name, spent in phases.items() if spent >= 5e-4]
+    parts.append(f"{cost.get('passes', 0)} passes over {number(cost.get('samples'))} samples")
+    growth, peak = cost.get("memory_growth_bytes"), cost.get("peak_memory_bytes")
+    if peak is not None:
+        grown = "" if growth is None else f", {file_size(growth)} of it during the fit"
+        parts.append(f"memory {file_size(peak)} at the peak{grown}")
+    return ", ".join(parts)

@@ -39,6 +39,26 @@ def _number(value: str, text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r}: {value!r} is not a number") from None
 
 
+def names(text: str) -> tuple[str, ...]:
+    """``NAME,NAME,...``."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def duration(text: str) -> float:
+    """Seconds of ``2s``, ``500ms``, ``1.5min``, or of a bare number."""
+    for unit, seconds in (("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)):
+        if text.endswith(unit):
+            return seconds * _number(text.removesuffix(unit).strip(), text)
+    raise AssertionError("every text ends with nothing")
+
+
+def share(text: str) -> float:
+    """The number that ``1%`` or ``0.01`` is."""
+    if text.endswith("%"):
+        return 0.01 * _number(text.removesuffix("%").strip(), text)
+    return _number(text, text)
+
+
 def output_folder(text: str, parameter: str = "out") -> Path:
     """A folder that can be written to; made now, because work that can't be kept should not begin."""
     folder = Path(text)

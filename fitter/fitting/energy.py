@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ def largest_albedo(model: ReflectanceModel, theta_i: tuple[float, float]) -> Lar
     psi = next((float(np.mean(v)) for name, v in model.values.items() if name.endswith("psi")), 0.0)
     phis = np.zeros(1) if isotropic else psi + np.array([0.0, 0.5 * math.pi])
     incidences = [(float(theta), float(phi)) for phi in phis for theta in thetas]
-    found = _albedos(model, incidences, whole=not isotropic)
+    found = albedos(model, incidences, whole=not isotropic)
     worst, channel = np.unravel_index(np.argmax(found), found.shape)
     theta, phi = incidences[worst]
     value = float(found[worst, channel])
@@ -58,9 +58,13 @@ def largest_albedo(model: ReflectanceModel, theta_i: tuple[float, float]) -> Lar
     return LargestAlbedo(value, theta, phi, int(channel))
 
 
-def _albedos(model: ReflectanceModel, incidences: Sequence[tuple[float, float]], whole: bool) -> FloatArray:
-    """(I, C) by products of Gauss-Legendre panels that shrink towards theta_i and towards phi_i and the
-    opposite azimuth; half the hemisphere stands for the whole where it is symmetric."""
+def albedos(
+    model: ReflectanceModel, incidences: Sequence[tuple[float, float]], whole: bool,
+    dtype: type[np.floating[Any]] = np.float64,
+) -> FloatArray:  # fmt: skip
+    """(I, C) albedos at incidences (theta, phi), evaluated in ``dtype``, by products of Gauss-Legendre panels
+    that shrink towards theta_i and towards phi_i and the opposite azimuth; half the hemisphere stands for the
+    whole where it is symmetric."""
     near, near_weight = _graded()
     quarter = 0.5 * math.pi
     half = np.concatenate([quarter * near, math.pi - quarter * near])
@@ -74,7 +78,7 @@ def _albedos(model: ReflectanceModel, incidences: Sequence[tuple[float, float]],
         wo.append(_direction(theta[:, None], (phi_i + turn)[None, :]).reshape(-1, 3))
         weights.append(((along * np.sin(theta) * np.cos(theta))[:, None] * around).reshape(-1))
     wi = np.stack([_direction(theta_i, phi_i) for theta_i, phi_i in incidences])
-    values = np.asarray(model.evaluate(wi[:, None, :], np.stack(wo)))
+    values = np.asarray(model.evaluate(wi[:, None, :].astype(dtype), np.stack(wo).astype(dtype)), np.float64)
     return np.einsum("im,imc->ic", np.stack(weights), values)
 
 

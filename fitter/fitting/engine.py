@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,23 +11,18 @@ from numpy.typing import NDArray
 from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError, SpecError
-from fitter.fitting import metrics, nlopt_solver, reduction, search
-from fitter.fitting.covariance import natural
+from fitter.fitting import budget, clock, metrics
 from fitter.fitting.layout import Layout, channel_groups, layout
-from fitter.fitting.order import in_order, order_axes
-from fitter.fitting.polish import CHUNK, errors, polish, scores
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, Block, Blocks, Usable, usable
+from fitter.fitting.samples import Usable, usable
+from fitter.fitting.solving import solve
 from fitter.fitting.streamed import from_file
-from fitter.fitting.writeup import Clock, Group, write_up
+from fitter.fitting.writeup import Group, write_up
 from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric, ModelSpec, Select
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
-#: Basins of the subset that are polished there, and within what share of the best one's objective they
-#: go on to the full table: a subset can't tell near-equals apart.
-BASINS, NEAR = 5, 1.1
 
 
 def check(request: FitSpec) -> None:
@@ -49,6 +42,9 @@ def fit(
     select: Select | None = None,
     starts: int | None = None,
     subset: int = 4096,
+    polish: spec.Polish = "full",
+    budget_seconds: float | None = None,
+    target_error: float | None = None,
     seed: int = 0,
     progress: progress.Progress = progress.ignore,
 ) -> FitResult:
@@ -64,33 +60,33 @@ def fit(
     metric : see :mod:`fitter.fitting.metrics`; None takes "measurement" where sigma is stated, else "cbrt".
     weighting : "samples", or "solid_angle" for samples to count by the solid angles that they stand for; None
         takes the latter for tables on a grid, but for the metrics "measurement" and "absolute".
+    budget_seconds, target_error : choose the effort instead, see :mod:`fitter.fitting.budget`.
     progress : called with (share, text); may raise to stop the fit.
 
     Raises
     ------
     SpecError : the request makes no sense for this model or table.
-    FitError : nothing usable to fit, fewer values than parameters, or the solver failed.
+    FitError : nothing usable to fit, fewer values than parameters, the solver failed, or "unattainable": no
+        effort keeps the budget or reaches the target.
     """
     if model == spec.AUTO:
         # Selection is built of fits: it can't be imported before this function is there.
         from fitter.selection import select as compare
 
-        if isinstance(table, LargeTable):
-            raise SpecError(
-                "auto compares models on a table in memory", code="bad-spec", parameter="model",
-                remedy="name the model, or compare on a part of the table",
-            )  # fmt: skip
-        if fixed or bounds:
-            raise SpecError(
-                "fixed and bounds name parameters of one model, and auto compares several",
-                code="bad-spec", parameter="fixed" if fixed else "bounds",
-                remedy="name the model, or compare without them",
-            )  # fmt: skip
+        in_memory = _in_memory(table, "auto compares models", "model")
+        for name, given in (
+            ("fixed", fixed), ("bounds", bounds), ("weighting", weighting),
+            ("budget_seconds", budget_seconds), ("target_error", target_error),
+        ):  # fmt: skip
+            if given:
+                raise SpecError(
+                    f"{name} is for the fit of one model, and auto compares several", code="bad-spec",
+                    parameter=name, remedy="name the model, or compare without it",
+                )  # fmt: skip
         return compare(
-            table, metric=metric, solver=solver, select=select or Select(), starts=starts, subset=subset,
+            in_memory, metric=metric, solver=solver, select=select or Select(), starts=starts, subset=subset,
             seed=seed, progress=progress,
         ).chosen  # fmt: skip
-    clock = Clock({}, time.perf_counter())
     if isinstance(model, FitSpec):
         request = model
     else:
@@ -98,24 +94,60 @@ def fit(
             {
                 "model": spec.model_spec(model), "metric": metric, "weighting": weighting, "solver": solver,
                 "fixed": dict(fixed or {}), "bounds": dict(bounds or {}), "select": select or Select(),
-                "starts": starts, "subset": subset, "seed": seed,
+                "starts": starts, "subset": subset, "polish": polish,
+                "budget_seconds": budget_seconds, "target_error": target_error, "seed": seed,
             }
         )  # fmt: skip
+    if request.budget_seconds is not None or request.target_error is not None:
+        held = _in_memory(table, "a budget chooses the effort for a table", "budget_seconds")
+        return budget.fit_within(held, request, _fit, progress)
+    return _fit(table, request, progress)
+
+
+def _in_memory(
+    table: Table | CompressedTable | LargeTable, what: str, parameter: str
+) -> Table | CompressedTable:
+    if isinstance(table, LargeTable):
+        raise SpecError(
+            f"{what} in memory", code="bad-spec", parameter=parameter,
+            remedy="state model and effort, or load a part of the table",
+        )  # fmt: skip
+    return table
+
+
+def _fit(
+    table: Table | CompressedTable | LargeTable, request: FitSpec, progress: progress.Progress
+) -> FitResult:
+    """The fit itself, with the effort that the request states."""
+    with clock.running() as running:
+        return _timed(table, request, progress, running)
+
+
+def _timed(
+    table: Table | CompressedTable | LargeTable, request: FitSpec, progress: progress.Progress,
+    clock: clock.Clock,
+) -> FitResult:  # fmt: skip
     reduction: dict[str, Any] = {"compressed": None}
     if isinstance(table, CompressedTable):
         reduction["compressed"] = {"tolerance": table.tolerance, "bytes": table.nbytes}
         table = table.decompress()
-    chosen = request.metric or metrics.default(table.sigma is not None)
+    metric = request.metric or metrics.default(table.sigma is not None)
     places = layout(request)
     progress(0.0, "preparing samples")
     turned = not places.family.isotropic(request.model)
     if isinstance(table, LargeTable):
+        if request.weighting == "solid_angle":
+            raise SpecError(
+                "samples that stay in their file can't be weighted by solid angle", code="bad-spec",
+                parameter="weighting", cause="what each stands for depends on all others",
+                remedy="use weighting 'samples'",
+            )  # fmt: skip
         reduction["out_of_core"] = {"sample": len(table.sample), "rows": table.rows}
-        data = from_file(table, chosen, request.select, anisotropic=turned)
+        data = from_file(table, metric, request.select, anisotropic=turned)
     else:
         data = usable(
-            table, chosen, request.select, anisotropic=turned,
-            weighting=metrics.weighting(chosen, request.weighting, table.grid is not None),
+            table, metric, request.select, anisotropic=turned,
+            weighting=metrics.weighting(metric, request.weighting, table.grid is not None),
         )  # fmt: skip
     groups = channel_groups(request, len(data.channels))
     places = layout(request, len(data.channels))
@@ -125,72 +157,12 @@ def fit(
     solved: list[Group] = []
     for k, group in enumerate(groups):
         progress((k + 0.1) / (len(groups) + 1), f"searching {request.model.name}")
-        solved.append(_solve(places, chosen, request, data, group, clock))
+        solved.append(solve(places, request, data, group, clock))
     progress(0.95, "writing up")
-    result = write_up(table, request, chosen, data, groups, solved, reduction, clock)
+    result = write_up(table, request, metric, data, groups, solved, reduction, clock)
+    budget.remember_compiled(request, places, metric, len(data), len(groups[0]))
     progress(1.0, "done")
     return result
-
-
-def _solve(
-    places: Layout, metric: Metric, request: FitSpec, data: Usable, group: Sequence[int], clock: Clock
-) -> Group:
-    floor = data.floor[list(group)]
-    index, scale = data.subset(request.subset, request.seed)
-    reduced = reduction.reduce(places, data, group) if len(index) < len(data) else None
-    if reduced is None:
-        # A power of two, so that few lengths are compiled for.
-        size = max(1024, 1 << (len(index) - 1).bit_length())
-        part, examined = data.part(group, index, size, scale), len(index)
-    else:
-        part, examined = reduced, len(data)
-    weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
-    clock.lap("reduce")
-    finder = search.search if request.solver == "optimistix" else nlopt_solver.search
-    seen = slice(max(1024, 1 << (part.count - 1).bit_length()))
-    basins, evidence = finder(
-        places, part.pair[:, seen], part.y[seen], weight[seen], request.starts, request.seed
-    )
-    clock.lap("search")
-
-    # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
-    fits = part.y.shape[0] % CHUNK == 0
-    blocks: Sequence[Block] = [part if fits else data.part(group, index, BLOCK, scale)]
-    ends = [
-        polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
-        for b in basins[:BASINS]
-    ]
-    best = min(ends, key=lambda end: end.normal.objective)
-    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best.normal.objective]
-    clock.lap("subset polish")
-    full: Blocks = data.blocks(group) if len(index) < len(data) else blocks
-    passes = 0
-    finish = polish if request.solver == "optimistix" else nlopt_solver.polish
-    if reduced is not None:
-        # The pseudo-samples are the table: their optimum is its optimum.
-        end = finish(places, metric, floor, in_order(places, best.p), blocks)
-    else:
-        if len(near) > 1:
-            rivals = [polish(places, metric, floor, p, full, 10) for p in near]
-            near = [min(rivals, key=lambda end: end.normal.objective).p]
-            passes = sum(end.passes for end in rivals)
-        end = finish(places, metric, floor, near[0], full)
-        passes += end.passes
-    p, normal = order_axes(places, end.p, end.normal)
-    end = replace(end, p=p, normal=normal)
-    clock.lap("polish")
-    if not np.isfinite(end.normal.objective):
-        raise FitError(
-            f"the objective of {request.model.name} is not finite", code="not-finite",
-            cause="values near the limits of floating point", remedy="rescale the table's values",
-        )  # fmt: skip
-    positions = [data.channels[c] for c in group]
-    found = errors(places, metric, floor, end.p, full)
-    some, step = data.blocks_of_some(group)
-    told = scores(places, metric, floor, end.p, some, step)
-    estimates = natural(places, end.p, end.normal, told, positions, len(data), data.likelihood)
-    clock.lap("uncertainty")
-    return Group(end, found, estimates, evidence | {"reduced": reduced is not None}, examined, passes)
 
 
 def _enough(data: Usable, places: Layout, per_group: int) -> None:

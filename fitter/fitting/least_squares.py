@@ -116,6 +116,12 @@ def solve(
     return Solution(p, now, passes, False)
 
 
+def foretold(now: Equations, p: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
+    """By how much an undamped Gauss-Newton step from p within the bounds would lower the objective."""
+    step = _step(now.matrix, now.rhs, p, lower, upper, _positive(_norms(now.matrix)))
+    return 2.0 * float(now.rhs @ step) - float(step @ now.matrix @ step)
+
+
 def _nearer(then: Equations, now: Equations) -> bool:
     """Whether an undamped step could lower the objective a quarter as much as before at most."""
     before, after = (

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
-from fitter.fitting.least_squares import MAX_PASSES, Solution, solve
+from fitter.fitting.least_squares import MAX_PASSES, Solution, foretold, solve
 from fitter.fitting.samples import Block, Blocks, count
 from fitter.spec import Metric
 
@@ -297,6 +297,12 @@ def polish(
     return solve(
         lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper, freedom, max_passes
     )
+
+
+def further_fall(layout: Layout, end: Polished) -> float:
+    """By how much the objective would fall with one more step, by its quadratic model."""
+    lower, upper = bounds(layout, len(end.p))
+    return foretold(end.normal, end.p, lower, upper)
 
 
 def bounds(layout: Layout, size: int) -> tuple[FloatArray, FloatArray]:

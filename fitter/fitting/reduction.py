@@ -26,7 +26,7 @@ from fitter import directions
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
 from fitter.fitting.polish import CHUNK, Arrays, arrays, over_blocks
-from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable
+from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
 from fitter.models.pair import Pair
 from fitter.models.span import Span
 
@@ -147,14 +147,14 @@ def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, cha
     rest = np.sqrt(np.maximum(squares - np.square(z).sum(axis=(0, 2)), 0.0))  # (G, C or 1)
 
     count = s * g * size + 1
-    padded = max(CHUNK, 1 << (count - 1).bit_length())
-    pair = np.zeros((j, 6 + k, padded))
+    size_of_all = max(CHUNK, padded(count))
+    pair = np.zeros((j, 6 + k, size_of_all))
     pair[:, 2] = pair[:, 5] = 1.0
     pair[:, :6, : count - 1] = np.repeat(references.transpose(1, 2, 0), g * size, axis=2)
     # Rows of the factor are (reference, term) of one pseudo-sample.
     weights = rows.reshape(s * g * size, k, j)
     pair[:, 6:, : count - 1] = weights.transpose(2, 1, 0)
-    y, weight = np.zeros((padded, channels)), np.zeros((padded, 1 if g == 1 else channels))
+    y, weight = np.zeros((size_of_all, channels)), np.zeros((size_of_all, 1 if g == 1 else channels))
     if g == 1:
         y[: count - 1], y[count - 1] = z.reshape(-1, channels), rest[0]
         weight[:count] = 1.0
@@ -163,5 +163,5 @@ def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, cha
         y[np.arange(count - 1), own] = z.reshape(-1)
         weight[np.arange(count - 1), own] = 1.0
         y[count - 1], weight[count - 1] = rest[:, 0], 1.0
-    return Block(pair.reshape(j * (6 + k), padded), y, y, weight, count)
+    return Block(pair.reshape(j * (6 + k), size_of_all), y, y, weight, count)
 

@@ -35,6 +35,11 @@ ENOUGH = 131_072
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
+def padded(samples: int) -> int:
+    """What a subset of so many samples is padded to: a power of two, so that few lengths are compiled for."""
+    return max(1024, 1 << (samples - 1).bit_length())
+
+
 @dataclass(frozen=True)
 class Block:
     """Samples padded to one length; padding, and what of a grid is not usable, has weight 0.

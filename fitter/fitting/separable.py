@@ -74,6 +74,12 @@ def model(layout: Layout, terms: Array, coefficients: Array) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames="layout")
+def values(layout: Layout, u: Array, inner: Array, pair: Array) -> Array:
+    """(n, C) the values of the model at pairs (6, n) with the inner vector (M, C)."""
+    return model(layout, layout.terms(u, pair), layout.coefficients(u, inner))
+
+
+@functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
     b = layout.coefficients(u, inner(layout, u, pair, y, weight))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from fitter import models
 from fitter._version import __version__
+from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import Natural
 from fitter.fitting.energy import LargestAlbedo, largest_albedo
 from fitter.fitting.polish import Errors, Polished
@@ -27,19 +27,6 @@ from fitter.table import Table
 FloatArray = NDArray[np.float64]
 
 
-@dataclass
-class Clock:
-    """Seconds by phase, monotonic."""
-
-    phases: dict[str, float]
-    last: float
-
-    def lap(self, phase: str) -> None:
-        now = time.perf_counter()
-        self.phases[phase] = self.phases.get(phase, 0.0) + now - self.last
-        self.last = now
-
-
 @dataclass(frozen=True)
 class Group:
     """The solution of one group of channels that share their nonlinear parameters."""
@@ -50,6 +37,8 @@ class Group:
     evidence: dict[str, Any]
     subset: int
     passes: int
+    #: By what share of itself the rms residual is above that of the optimum, at most (95 %).
+    search_error: float
 
 
 def write_up(
@@ -96,22 +85,23 @@ def write_up(
     if (limit := request.select.theta_i_max_deg) is not None:
         incidences = (incidences[0], min(incidences[1], math.radians(limit)))
     albedo = largest_albedo(model, incidences)
-    clock.lap("energy")
     status, message, warnings = _verdict(request, names, groups, solved, data, table, albedo)
+    complete = request.polish == "full" or all(s.subset == len(data) for s in solved)
     used = {"fitted": len(data), "subset": max(s.subset for s in solved), "left_out": data.left_out}
-    clock.lap("write up")
+    clock.lap("check")
     return FitResult(
         spec=request,
         model=model,
         parameters=parameters,
         labels=tuple(labels),
         covariance=covariance,
-        uncertainty="curvature" if data.likelihood else "sandwich",
+        uncertainty="curvature" if data.likelihood and complete else "sandwich",
         metrics=_metrics(data, solved),
         status=status,
         message=message,
         evidence={
             "solver": request.solver,
+            "search_error": max(s.search_error for s in solved),
             "groups": [
                 {"channels": [names[c] for c in group], **s.evidence}
                 for group, s in zip(groups, solved, strict=True)
@@ -122,8 +112,7 @@ def write_up(
             },
         },
         cost={
-            "seconds": float(sum(clock.phases.values())),
-            "phases": {name: float(s) for name, s in clock.phases.items()},
+            **clock.cost(None if isinstance(table, LargeTable) else table.load_seconds),
             "passes": sum(s.passes for s in solved),
             "samples": len(data),
         },
@@ -205,4 +194,7 @@ def _verdict(
             tuple(warnings),
         )
     passes = sum(s.passes for s in solved)
+    used = max(s.subset for s in solved)
+    if request.polish == "subset" and used < len(data):
+        return "converged", f"converged on a subset of {used} of {len(data)} samples", tuple(warnings)
     return "converged", f"converged in {passes} passes over {len(data)} samples", tuple(warnings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import os
+import time
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -75,6 +76,7 @@ def load(
     TableError : the bytes are no table, or not one that can be read without being told more.
     SpecError : an option outside its vocabulary.
     """
+    begun = time.perf_counter()
     tables = load_all(
         source, quantity=quantity, convention=convention, item=item, columns=columns, negatives=negatives,
         duplicates=duplicates, fills=fills, name=name,
@@ -87,6 +89,7 @@ def load(
             file=_name_of(source, name), parameter="item",
             remedy=f"choose one with item={labels[0]!r} or item=0, or use load_all",
         )  # fmt: skip
+    tables[0].load_seconds = time.perf_counter() - begun
     return tables[0]
 
 

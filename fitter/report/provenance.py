@@ -60,6 +60,7 @@ def commands(fit: FitResult, posterior: Posterior | None) -> list[str]:
     words += ["--theta-o-max", f"{select.theta_o_max_deg!r}"] if select.theta_o_max_deg is not None else []
     words += ["--channels", ",".join(select.channels)] if select.channels else []
     words += ["--starts", str(spec.starts)] if spec.starts is not None else []
+    words += ["--polish", spec.polish] if spec.polish != "full" else []
     words += ["--subset", str(spec.subset), "--seed", str(spec.seed)]
     compressed = fit.table.get("compressed")
     words += ["--compress", f"{compressed['tolerance']!r}"] if compressed else []

@@ -18,7 +18,7 @@ from tests.bench.measuring import Row, Size, load_average
 KIND = "brdf-fitter/bench"
 GROUPS = {
     "load": "loading", "evaluate": "evaluation", "fit": "fits", "posterior": "posteriors",
-    "sampler": "samplers", "compression": "compressions", "report": "reports",
+    "sampler": "samplers", "compression": "compressions", "report": "reports", "budget": "budgets",
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
 from fitter.cli.screen import Screen, number
-from fitter.cli.values import named_number, named_range, output_folder
+from fitter.cli.values import duration, named_number, named_range, names, output_folder, share
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome, Verb
 from fitter.errors import FitError, SpecError
 
@@ -32,7 +32,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """TABLE, the models, and every setting of a FitSpec."""
     from typing import get_args
 
-    from fitter.spec import FAMILIES, FitSpec, Metric, Solver, Weighting
+    from fitter.spec import FAMILIES, FitSpec, Metric, Polish, Solver, Weighting
 
     default = {name: field.default for name, field in FitSpec.model_fields.items()}
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
@@ -42,7 +42,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         f"compare models and take the one that the table supports (default: {', '.join(FAMILIES)})",
     )  # fmt: skip
     parser.add_argument(
-        "--candidates", type=_names, metavar="NAME,...",
+        "--candidates", type=names, metavar="NAME,...",
         help="with --model auto: compare these models only",
     )  # fmt: skip
     parser.add_argument(
@@ -72,11 +72,23 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--theta-o-max", type=float, metavar="DEG", help="leave out samples seen from beyond this"
     )
-    parser.add_argument("--channels", type=_names, metavar="NAME,...", help="fit these channels only")
+    parser.add_argument("--channels", type=names, metavar="NAME,...", help="fit these channels only")
     parser.add_argument("--starts", type=int, metavar="N", help="starting points of the global search")
     parser.add_argument(
         "--subset", type=int, default=default["subset"], metavar="N",
         help=f"samples that the global search looks at; the polish uses all (default: {default['subset']})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--polish", choices=get_args(Polish), default=default["polish"],
+        help=f"subset: never look beyond the subset (default: {default['polish']})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=duration, metavar="TIME",
+        help="the best fit within this, as 2s, compiling included; chooses --subset, --polish and --starts",
+    )  # fmt: skip
+    parser.add_argument(
+        "--target-error", type=share, metavar="E",
+        help="the cheapest fit whose rms residual is within this, as 1%%, of the same model's best",
     )  # fmt: skip
     parser.add_argument(
         "--seed", type=int, default=default["seed"], metavar="S",
@@ -90,18 +102,14 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
 def specs(given: argparse.Namespace) -> list[FitSpec]:
     """One FitSpec a model. Raises SpecError, also for a parameter that none of the models has."""
     from fitter.models import parameter_table
     from fitter.spec import FAMILIES, ModelSpec, fit_spec
 
     models = [ModelSpec.parse(name) for name in given.model or FAMILIES]
-    names = [model.name for model in models]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    asked = [model.name for model in models]
+    twice = sorted({name for name in asked if asked.count(name) > 1})
     if twice:
         raise SpecError(f"{', '.join(twice)} is asked for twice", code="bad-call", parameter="model")
     known = {model.name: {p.name for p in parameter_table(model) if not p.linear} for model in models}
@@ -117,7 +125,8 @@ def specs(given: argparse.Namespace) -> list[FitSpec]:
         fit_spec(
             {
                 **_common(given),
-                "weighting": given.weighting,
+                "weighting": given.weighting, "polish": given.polish,
+                "budget_seconds": given.budget, "target_error": given.target_error,
                 "model": model,
                 "fixed": {n: v for n, v in given.fixed if n in known[model.name]},
                 "bounds": {n: v for n, v in given.bounds if n in known[model.name]},
@@ -143,13 +152,15 @@ def selection(given: argparse.Namespace) -> SelectionSpec | None:
             "--model auto stands alone", code="bad-call", parameter="model",
             remedy="name the models to compare with --candidates",
         )  # fmt: skip
-    for option, pairs in (("fixed", given.fixed), ("bounds", given.bounds)):
-        if pairs:
+    for option in ("fixed", "bounds", "weighting", "target_error"):
+        if getattr(given, option):
             raise SpecError(
-                f"--{option} can't go with --model auto", code="bad-call", parameter=option,
-                cause="it names a parameter of one model", remedy="name the model",
+                f"--{option.replace('_', '-')} can't go with --model auto", code="bad-call",
+                parameter=option, cause="it is for the fit of one model", remedy="name the model",
             )  # fmt: skip
-    return selection_spec({**_common(given), "candidates": given.candidates})
+    return selection_spec(
+        {**_common(given), "candidates": given.candidates, "budget_seconds": given.budget}
+    )  # fmt: skip
 
 
 def _common(given: argparse.Namespace) -> dict[str, Any]:
@@ -262,8 +273,8 @@ def show_selection(found: Selection, screen: Screen) -> None:
     by_reason: dict[str, list[str]] = {}
     for one in found.not_candidates:
         by_reason.setdefault(one.reason, []).append(one.model)
-    for reason, names in by_reason.items():
-        screen.line(f"  not compared: {', '.join(names)}: {reason}")
+    for reason, left_out in by_reason.items():
+        screen.line(f"  not compared: {', '.join(left_out)}: {reason}")
     for sentence in found.sentences:
         screen.line(sentence)
     screen.line(f"{found.cost['fits']} fits in {found.cost['seconds']:.1f} s")

@@ -1,0 +1,84 @@
+"""Tradeoffs: measure what accuracy costs on a table, and read what was measured."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from api import documents, schemas
+from api.problems import Problem
+from api.routes import Limit, Offset, problems
+from api.routes.fits import start
+from api.rows import TradeoffRow
+from api.service import Here, Service
+from fitter.documents import dumps
+from fitter.fitting import check
+from fitter.spec import FitSpec, tradeoff_spec
+
+router = APIRouter(prefix="/v1", tags=["tradeoffs"])
+
+
+@router.post(
+    "/tradeoffs", status_code=202, response_model=schemas.JobDocument,
+    responses=problems(400, 404, 413, 422, 429),
+)  # fmt: skip
+def start_tradeoff(wanted: schemas.TradeoffRequest, here: Here, response: Response) -> dict[str, Any]:
+    """Measure error against seconds and memory for models of a table. The answer is a job.
+
+    It takes about `time_limit_seconds`, and has the machine to itself only if nothing else runs: the noise of
+    the seconds is part of the result.
+    """
+    spec = tradeoff_spec(wanted.model_dump(mode="json", exclude={"table"}, exclude_unset=True))
+    for model in spec.models:
+        check(FitSpec(model=model, metric=spec.metric, select=spec.select))
+    return start(here, response, "tradeoff", wanted.table, {"spec": spec.model_dump(mode="json")})
+
+
+@router.get("/tradeoffs", response_model=schemas.Page[schemas.TradeoffSummary], responses=problems(422))
+def tradeoffs(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+    """The finished tradeoffs, newest first."""
+    rows, total = here.store.page(TradeoffRow, limit, offset)
+    return documents.page([documents.tradeoff(row) for row in rows], total, limit, offset)
+
+
+@router.get("/tradeoffs/{id}", response_model=schemas.TradeoffDocument, responses=problems(404, 422))
+def tradeoff(id: str, here: Here) -> Response:
+    """Every point, with its seconds, memory and errors."""
+    shown = documents.tradeoff(_row(here, id))
+    added = {"id": id, "links": shown["links"]}
+    return Response(dumps({**here.results.read(id), **added}), media_type="application/json")
+
+
+@router.get(
+    "/tradeoffs/{id}/report.html", response_class=Response,
+    responses={**problems(404, 422), 200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+)  # fmt: skip
+def report(id: str, here: Here) -> Response:
+    """The picture and the numbers as one self-contained page."""
+    return Response(_drawn(here, id, "html"), media_type="text/html")
+
+
+@router.get(
+    "/tradeoffs/{id}/picture.png", response_class=Response,
+    responses={
+        **problems(404, 422),
+        200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
+def picture(id: str, here: Here) -> Response:
+    """Error against seconds, log-log, points labelled, the Pareto front drawn."""
+    return Response(_drawn(here, id, "png"), media_type="image/png")
+
+
+def _row(here: Service, id: str) -> TradeoffRow:
+    row = here.store.get(TradeoffRow, id)
+    if row is None:
+        raise Problem.not_found("tradeoff", id)
+    return row
+
+
+def _drawn(here: Service, id: str, kind: str) -> bytes:
+    content = here.results.report(_row(here, id).id, kind)
+    assert content is not None  # written before the row was published
+    return content

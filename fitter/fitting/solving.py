@@ -1,0 +1,112 @@
+"""solve: one group of channels, from the samples to the estimates and their uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.errors import FitError
+from fitter.fitting import metrics, nlopt_solver, reduction, search, separable
+from fitter.fitting.clock import Clock
+from fitter.fitting.covariance import natural
+from fitter.fitting.layout import Layout
+from fitter.fitting.order import in_order, order_axes
+from fitter.fitting.polish import CHUNK, Errors, Polished, errors, polish, scores
+from fitter.fitting.samples import BLOCK, Block, Blocks, Usable, count, padded
+from fitter.fitting.search_error import search_error
+from fitter.fitting.writeup import Group
+from fitter.spec import FitSpec
+
+FloatArray = NDArray[np.float64]
+#: Basins of the subset that are polished there, and within what share of the best one's objective they
+#: go on to the full table: a subset can't tell near-equals apart.
+BASINS, NEAR = 5, 1.1
+
+
+def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], clock: Clock) -> Group:
+    """The optimum for the channels ``group`` (positions among the selected).
+
+    Raises FitError where the objective is not finite.
+    """
+    metric, floor = data.metric, data.floor[list(group)]
+    index, scale = data.subset(request.subset, request.seed)
+    complete = request.polish == "full" or len(index) == len(data)
+    reduced = reduction.reduce(places, data, group) if complete and len(index) < len(data) else None
+    if reduced is None:
+        part, examined = data.part(group, index, padded(len(index)), scale), len(index)
+    else:
+        part, examined = reduced, len(data)
+    weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
+    clock.lap("reduce")
+    finder = search.search if request.solver == "optimistix" else nlopt_solver.search
+    seen = slice(padded(part.count))
+    basins, evidence = finder(
+        places, part.pair[:, seen], part.y[seen], weight[seen], request.starts, request.seed
+    )
+    clock.lap("search")
+
+    # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
+    whole = part.y.shape[0] % CHUNK == 0
+    blocks: Sequence[Block] = [part if whole else data.part(group, index, BLOCK, scale)]
+    ends = [
+        polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
+        for b in basins[:BASINS]
+    ]
+    best = min(ends, key=lambda end: end.normal.objective)
+    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best.normal.objective]
+    clock.lap("subset polish")
+    full: Blocks = data.blocks(group) if complete and len(index) < len(data) else blocks
+    finish = polish if request.solver == "optimistix" else nlopt_solver.polish
+    if reduced is not None:
+        # The pseudo-samples are the table: one pass made them, and their optimum is its optimum.
+        end, passes = finish(places, metric, floor, in_order(places, best.p), blocks), 1
+    else:
+        passes = 0
+        if len(near) > 1:
+            rivals = [polish(places, metric, floor, p, full, 10) for p in near]
+            near = [min(rivals, key=lambda end: end.normal.objective).p]
+            passes = sum(end.passes for end in rivals)
+        end = finish(places, metric, floor, near[0], full)
+        passes = passes + end.passes if complete else 0
+    p, normal = order_axes(places, end.p, end.normal)
+    end = replace(end, p=p, normal=normal)
+    clock.lap("polish")
+    if not np.isfinite(end.normal.objective):
+        raise FitError(
+            f"the objective of {request.model.name} is not finite", code="not-finite",
+            cause="values near the limits of floating point", remedy="rescale the table's values",
+        )  # fmt: skip
+
+    positions = [data.channels[c] for c in group]
+    if complete:
+        found = errors(places, metric, floor, end.p, full)
+        some, step = data.blocks_of_some(group)
+    else:
+        found = _stand_in(places, end, part, scale, len(index), floor)
+        some, step = blocks, 1
+    told = scores(places, metric, floor, end.p, some, step)
+    used = count(full)
+    # Of a subset's optimum the curvature knows the measurements' noise, the sandwich the choice of samples
+    # too.
+    estimates = natural(places, end.p, end.normal, told, positions, used, data.likelihood and complete)
+    error = search_error(places, end, told.outer, None if complete else 1.0 - used / len(data))
+    clock.lap("check")
+    evidence["reduced"] = reduced is not None
+    return Group(end, found, estimates, evidence, examined, passes, error)
+
+
+def _stand_in(
+    places: Layout, end: Polished, part: Block, scale: FloatArray, samples: int, floor: FloatArray
+) -> Errors:
+    """The errors of a weighted subset, its plain ones weighted, too: they stand for the table's."""
+    t = len(places.entries)
+    inner = end.p[t:].reshape(-1, part.y.shape[1])
+    f = np.asarray(separable.values(places, jnp.asarray(end.p[:t]), jnp.asarray(inner), part.pair))[:samples]
+    plain = f - part.y[:samples]
+    relative = plain / (np.abs(part.y[:samples]) + 10.0 * floor)
+    squared, relative_squared = (float(scale @ np.square(error).sum(axis=1)) for error in (plain, relative))
+    return Errors(end.normal.objective, squared, relative_squared)
