@@ -202,7 +202,7 @@ class Usable:
         return np.arange(step // 2, len(self), step), step
 
     def subset(self, size: int, seed: int) -> tuple[IntArray, FloatArray]:
-        """Positions and weights of a systematic sample, half uniform, half by weighted squared value.
+        """Positions and weights of a systematic sample, half uniform, half by squared value.
 
         Systematic sampling with probability proportional to size: a sample taken k times with
         inclusion probability m p stands for k/(m p) samples. Of a large table an evenly spaced part is
@@ -217,10 +217,14 @@ class Usable:
     def drawn(self, rows: IntArray, weight: FloatArray, size: int, seed: int) -> tuple[IntArray, FloatArray]:
         """Positions among ``rows``, which stand for ``weight`` samples each, and what those drawn do."""
         block = self.part(range(len(self.channels)), rows, len(rows))
-        energy = weight * np.square(block.weight * block.y).sum(axis=1)
-        # No sample counts for more than 100 times its share: glints must not fill the subset.
-        energy = np.minimum(energy, 100 * energy.mean())
-        p = 0.5 * weight / weight.sum() + 0.5 * energy / max(energy.sum(), 1e-300)
+        p = 0.5 * weight / weight.sum()
+        # By the metric and plainly: with noise in proportion to the value all samples weigh the same, and a
+        # lobe that only few of them see would be lost.
+        for seen in (block.weight * block.y, block.y):
+            energy = weight * np.square(seen).sum(axis=1)
+            # No sample counts for more than 100 times its share: glints must not fill the subset.
+            energy = np.minimum(energy, 100 * energy.mean())
+            p += 0.25 * energy / max(energy.sum(), 1e-300)
         p /= p.sum()
         offset = np.random.default_rng(seed).random()
         picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, len(rows) - 1)

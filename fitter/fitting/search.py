@@ -69,15 +69,22 @@ def _solve(
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """Local optima from the best of ``count`` candidates: u (S, T), objective (S,), inner (S, M, C)."""
     low, high = layout.box
-    cube = candidates.sobol(len(low), count, seed)
-    tried = low + (high - low) * cube
-    # Pseudo-samples are few, and no two are alike.
-    stride = candidates.stride(pair.shape[1]) if len(pair) == 6 else 1
-    cost = separable.screen(layout, jnp.asarray(tried), pair[:, ::stride], y[::stride], weight[::stride])
-    begin = tried[candidates.distinct(cube, np.asarray(cost).sum(axis=1), solves)]
+    if len(low) == 1:
+        # A scan: every local minimum of it is looked into, and narrow ones need all samples to be seen.
+        tried = low + (high - low) * candidates.scan(max(count, candidates.NODES))
+        cost = np.asarray(separable.screen(layout, jnp.asarray(tried), pair, y, weight)).sum(axis=1)
+        begin = tried[candidates.minima(cost, solves)]
+    else:
+        cube = candidates.sobol(len(low), count, seed)
+        tried = low + (high - low) * cube
+        # Pseudo-samples are few, and no two are alike.
+        stride = candidates.stride(pair.shape[1]) if len(pair) == 6 else 1
+        part = (pair[:, ::stride], y[::stride], weight[::stride])
+        cost = np.asarray(separable.screen(layout, jnp.asarray(tried), *part)).sum(axis=1)
+        begin = tried[candidates.distinct(cube, cost, solves)]
     grown = beam.candidates(layout, pair, y, weight, solves)
     if grown is not None:
         # Two thirds of the starts: the beam's resolution is its library's, the others have none.
         begin = np.concatenate([grown[: solves - solves // 3], begin])[:solves]
-    u, objective, inner = separable.solve_many(layout, begin, pair, y, weight)
+    u, objective, inner = separable.solve_many(layout, jnp.asarray(begin), pair, y, weight)
     return np.asarray(u), np.asarray(objective), np.asarray(inner), len(tried)

@@ -16,12 +16,15 @@ import numpy as np
 import optimistix as optx
 from jax import Array
 from jax.scipy.linalg import cho_factor, cho_solve
+from numpy.typing import ArrayLike
 
 from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import Layout
 
 #: Relative ridge on the scaled normal matrix: below it columns are the same column.
 RIDGE = 1e-13
+#: Starts that one program has room for.
+STARTS = 32
 
 
 def non_negative(gram: Array, rhs: Array) -> Array:
@@ -95,16 +98,38 @@ def screen(layout: Layout, candidates: Array, pair: Array, y: Array, weight: Arr
     )
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "steps"))
 def solve_many(
-    layout: Layout, starts: Array, pair: Array, y: Array, weight: Array, steps: int = 60,
-    moving: Array | None = None,
+    layout: Layout, starts: ArrayLike, pair: ArrayLike, y: ArrayLike, weight: ArrayLike, steps: int = 60,
+    moving: ArrayLike | None = None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Levenberg-Marquardt (optimistix) on the reduced problem from each start (S, T).
 
-    Returns u (S, T), objective (S,), inner vectors (S, M, C). The box becomes the whole line by a sigmoid, so
-    that every step stays inside. Residuals are scaled to a sum of squares of order 1: in absolute units LM's
-    own tolerances stop it early on a million residuals. ``moving`` : (T,) False for entries to be held.
+    Returns u (S, T), objective (S,), inner vectors (S, M, C). ``moving`` : (T,) False for entries to be held.
+    One program serves any number of starts: compiling takes longer than solving.
+    """
+    starts, pair, y, weight = (jnp.asarray(a) for a in (starts, pair, y, weight))
+    count, t = starts.shape
+    held = jnp.ones(t, bool) if moving is None else jnp.asarray(moving)
+    found = [
+        _solve_some(
+            layout, jnp.pad(starts[k : k + STARTS], ((0, max(0, k + STARTS - count)), (0, 0)), mode="edge"),
+            jnp.asarray(min(STARTS, count - k)), pair, y, weight, held, steps,
+        )
+        for k in range(0, count, STARTS)
+    ]  # fmt: skip
+    u, objective, inner = (jnp.concatenate(part)[:count] for part in zip(*found, strict=True))
+    return u, objective, inner
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "steps"))
+def _solve_some(
+    layout: Layout, starts: Array, count: Array, pair: Array, y: Array, weight: Array, moving: Array,
+    steps: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """The first ``count`` of the starts (STARTS, T).
+
+    The box becomes the whole line by a sigmoid, so that every step stays inside. Residuals are scaled to a
+    sum of squares of order 1: in absolute units LM's own tolerances stop it early on a million residuals.
     """
     low, high = (jnp.asarray(side) for side in layout.box)
     total = jnp.sqrt(jnp.maximum(jnp.sum(jnp.square(weight * y)), 1e-300))
@@ -115,8 +140,7 @@ def solve_many(
         z0 = jnp.log(share) - jnp.log1p(-share)
 
         def inside(z: Array) -> Array:
-            u = low + (high - low) * jax.nn.sigmoid(z)
-            return u if moving is None else jnp.where(moving, u, u0)
+            return jnp.where(moving, low + (high - low) * jax.nn.sigmoid(z), u0)
 
         def scaled(z: Array, args: None) -> Array:
             del args
@@ -127,4 +151,10 @@ def solve_many(
         objective = jnp.sum(jnp.square(scaled(found.value, None))) * total * total
         return u, objective, inner(layout, u, pair, y, weight)
 
-    return jax.lax.map(one, starts)
+    def step(k: Array, ends: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        u, objective, b = one(starts[k])
+        return ends[0].at[k].set(u), ends[1].at[k].set(objective), ends[2].at[k].set(b)
+
+    shapes = jax.eval_shape(one, starts[0])
+    empty = tuple(jnp.zeros((len(starts), *shape.shape), shape.dtype) for shape in shapes)
+    return jax.lax.fori_loop(0, count, step, (empty[0], empty[1], empty[2]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,7 +25,7 @@ from fitter.spec import FitSpec
 FloatArray = NDArray[np.float64]
 #: Basins of the subset that are polished there, and within what share of the best one's objective they
 #: go on to the full table: a subset can't tell near-equals apart.
-BASINS, NEAR = 5, 1.1
+BASINS, NEAR = 6, 1.1
 
 
 def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], clock: Clock) -> Group:
@@ -57,7 +58,9 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
         for b in basins[:BASINS]
     ]
     best = min(ends, key=lambda end: end.normal.objective)
-    near = [in_order(places, end.p) for end in ends if end.normal.objective <= NEAR * best.normal.objective]
+    # On a table of few blocks all of them go on: that costs nothing.
+    limit = math.inf if len(data) <= BLOCK else NEAR * best.normal.objective
+    near = [in_order(places, end.p) for end in ends if end.normal.objective <= limit]
     clock.lap("subset polish")
     full: Blocks = data.blocks(group) if complete and len(index) < len(data) else blocks
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
