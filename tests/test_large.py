@@ -98,9 +98,10 @@ def test_a_sample_with_room_for_all_is_the_table(folder: Path):
 def test_fits_agree(folder: Path):
     """The passes see the same samples; only the order of the sums, and where they start, differ."""
     whole = fitter.load(folder / "t.parquet", duplicates="keep")
-    ours = fitter.fit(whole, "ward", metric="cosine", subset=512)
-    large = open_large(folder / "t.parquet", rows=400, sample=32 * 32)
-    theirs = fitter.fit(large, "ward", metric="cosine", subset=512)
+    ours = fitter.fit(whole, "ward", metric="cosine")
+    large = open_large(folder / "t.parquet", rows=400, sample=128 * 32)
+    assert len(large.sample) < 0.9 * large.usable
+    theirs = fitter.fit(large, "ward", metric="cosine")
     for name, estimate in ours.parameters.items():
         u = np.asarray(estimate.standard_uncertainty)
         assert (np.abs(theirs.parameters[name].value - estimate.value) < 2e-3 * u).all()
@@ -110,7 +111,7 @@ def test_fits_agree(folder: Path):
     assert theirs.table["fitted"] == ours.table["fitted"]
     assert theirs.table["out_of_core"]["sample"] == len(large.sample)
     near = Select(theta_i_max_deg=50.0)
-    a, b = (fitter.fit(table, "ward", metric="cosine", subset=512, select=near) for table in (whole, large))
+    a, b = (fitter.fit(table, "ward", metric="cosine", select=near) for table in (whole, large))
     assert a.table["left_out"] == b.table["left_out"]
     assert b.parameters["alpha"].value == pytest.approx(a.parameters["alpha"].value, rel=1e-6)
 
@@ -118,10 +119,10 @@ def test_fits_agree(folder: Path):
 def test_a_file_that_changes_under_a_fit(folder: Path, tmp_path: Path):
     path = tmp_path / "t.parquet"
     path.write_bytes((folder / "t.parquet").read_bytes())
-    large = open_large(path, rows=400)
+    large = open_large(path, rows=400, sample=128 * 32)  # a sample of all would need no pass over the file
     write(synthetic(ROWS - 5), path, "parquet")
     with pytest.raises(FitError) as caught:
-        fitter.fit(large, "ward", metric="cosine", subset=512)
+        fitter.fit(large, "ward", metric="cosine")
     assert caught.value.code == "file-changed"
 
 
@@ -175,13 +176,13 @@ def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path:
     path = str(folder / "t.parquet")
     assert main(["check", path, "--out-of-core", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["samples"] == ROWS
-    call = ["fit", path, "--model", "ward", "--metric", "cosine", "--subset", "512", "--out-of-core"]
+    call = ["fit", path, "--model", "ward", "--metric", "cosine", "--out-of-core"]
     assert main([*call, "--out", str(tmp_path), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["table"]["source"]["out_of_core"]
     assert main([*call, "--compress", "0.1"]) == 2
     capsys.readouterr()
-    assert main(["report", str(tmp_path / "ward.json"), "--json"]) == 2
+    assert main(["report", str(tmp_path / "ward.json"), "--out", str(tmp_path), "--json"]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "table-too-large"
 
 

@@ -104,7 +104,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if rows * len(names) * 8 > LARGEST:
         raise source.error(
             f"the file states {rows:,} rows of {len(names)} columns, more than {LARGEST / 1e9:.1f} GB",
-            "table-too-large", remedy="write the columns of one table only, or divide it",
+            "table-too-large", remedy="write the columns of one table only, divide it, or use --out-of-core",
         )  # fmt: skip
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
