@@ -120,8 +120,9 @@ def _settled(
     p[t:] = np.where((p[t:] - lower[t:]) * effect[t:] <= nothing, lower[t:], p[t:])
     span = upper[:t] - lower[:t]
     inside = (p[:t] > lower[:t] + 1e-5 * span) & (p[:t] < upper[:t] - 1e-5 * span)
-    free = np.concatenate([inside, (p[t:] > lower[t:]) & (p[t:] < upper[t:])])
     flat = np.concatenate([effect[:t] * span <= nothing.max(), np.zeros(len(p) - t, bool)])
+    # What does nothing may have come to lie anywhere: that it is on a bound means nothing either.
+    free = np.concatenate([inside | flat[:t], (p[t:] > lower[t:]) & (p[t:] < upper[t:])])
     matrix[flat, :] = matrix[:, flat] = 0.0
     return p, matrix, free
 

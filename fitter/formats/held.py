@@ -21,11 +21,7 @@ class Held(Source):
         super().__init__(b"", name)
         self.given = given
         self.format = format
-
-    @property
-    def sha256(self) -> str:
-        """Empty: there are no bytes to hash."""
-        return ""
+        self.digest = ""
 
 
 def held(given: Any, name: str | None) -> Held | None:

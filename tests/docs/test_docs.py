@@ -140,7 +140,7 @@ def test_everything_shown_runs(
         written = tmp_path / f"shown.{Path(words[0]).name}"
         written.write_text(script)
         done = subprocess.run(
-            [*words, str(written)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240
+            [*words, str(written)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600
         )
         assert done.returncode == 0, f"{path.name}:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
 

@@ -200,7 +200,8 @@ def test_a_calibration_is_a_line_through_two_sizes():
 
     def fit(table: fitter.Table, request, report) -> SimpleNamespace:
         made.append(len(table))
-        work = Case.of(table, request).work(Effort(4096, 3, "full"), 4)
+        case = Case.of(table, request)
+        work = case.work(Effort(4096, case.usual_starts, "full"), 4)
         laps = {phase: 0.01 + 1e-7 * work[phase] for phase in PHASES}
         cost = {"phases": {"load": 9.0, "compile": 3.0, **laps}, "passes": 4}
         return SimpleNamespace(cost={**cost, "compiled_in": {"search": 2.0, "check": 1.0}})

@@ -125,7 +125,7 @@ def test_both_sides_are_tables_and_transmission_is_skipped():
 
 
 def test_values_are_kept_as_they_are():
-    table = load(tensor_tree_bytes(["{-1 2 nan 4 5 6 7 8}"]))
+    table = load(tensor_tree_bytes(["{-1.5 2 nan 4 5 6 7 8}"]))  # -1 would be a fill value
     assert table.metadata.masked == {"missing or not finite": 64, "negative": 64}
 
 
