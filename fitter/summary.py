@@ -34,10 +34,11 @@ def summarise(value: FloatArray, used: NDArray[np.bool_]) -> Summary:
             continue
         largest = np.maximum(largest, np.maximum(piece.max(axis=0), -piece.min(axis=0)))
         # Means and spreads of two parts put together (Chan, Golub and LeVeque 1979): no cancellation.
-        own = piece.mean(axis=0)
-        away, total = own - mean, count + len(piece)
-        spread += np.square(piece - own).sum(axis=0) + np.square(away) * (count * len(piece) / total)
-        mean += away * (len(piece) / total)
+        with np.errstate(over="ignore", invalid="ignore"):  # of values near the limits, which a fit refuses
+            own = piece.mean(axis=0)
+            away, total = own - mean, count + len(piece)
+            spread += np.square(piece - own).sum(axis=0) + np.square(away) * (count * len(piece) / total)
+            mean += away * (len(piece) / total)
         count = total
     some = np.flatnonzero(used)[:: max(1, count // ENOUGH)]
     magnitude = np.abs(value[some])

@@ -49,7 +49,8 @@ def non_negative(gram: Array, rhs: Array) -> Array:
 
 @functools.partial(jax.jit, static_argnames="layout")
 def inner(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
-    """The best inner vector (M, C) at search coordinates u, for y and weight (n, C)."""
+    """The best inner vector (M, C) at search coordinates u, for y (n, C) and weight (n, C) or (n, 1)."""
+    weight = jnp.broadcast_to(weight, y.shape)
     terms = layout.terms(u, pair)
 
     def normal(terms_c: Array, y_c: Array, w_c: Array) -> tuple[Array, Array]:
