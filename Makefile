@@ -36,7 +36,7 @@ lint: .venv/.installed ## check style and types
 bench: .venv/.installed ## measure speed
 	$(BIN)/python -m tests.bench $(ARGS)
 
-# The whole takes 20 to 40 minutes; --share 0.02 --seed fresh is a sample of it.
+# The whole takes hours with the global optimum, 40 to 60 minutes without (--study chooses); --share 0.02 --seed fresh is a sample of it.
 evidence: .venv/.installed ## prove accuracy and sampling, into docs/evidence.json and docs/evidence.md
 	$(BIN)/python -m tests.evidence $(or $(ARGS),--write)
 
