@@ -177,9 +177,13 @@ def _second_order(rest: FloatArray, before: Equations, after: Equations, step: F
     have = float(step @ rest @ step)
     # Sizing: S must not outlive the residuals it was learned from.
     sized = rest * min(1.0, abs(float(step @ wanted)) / abs(have)) if have != 0 else rest
-    missing = wanted - sized @ step
-    outer = np.outer(missing, change) / along
-    return sized + outer + outer.T - float(missing @ step) / along**2 * np.outer(change, change)
+    missing, unit = wanted - sized @ step, math.sqrt(along)
+    # Where a parameter has come from nowhere its curvature may be beyond all numbers: nothing is learned.
+    with np.errstate(over="ignore", invalid="ignore"):
+        turned = change / unit
+        outer = np.outer(missing / unit, turned)
+        learned = sized + outer + outer.T - float(missing @ step) / along * np.outer(turned, turned)
+    return learned if np.isfinite(learned).all() else np.zeros_like(rest)
 
 
 def _step(
