@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.formats.arrow_columns import floats
 from fitter.formats.extras import optional_package
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
@@ -46,24 +47,10 @@ class _Columns:
 
     def floats(self, use: Sequence[int]) -> FloatArray:
         """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
-        import pyarrow as arrow
-
-        values = np.empty((len(self), len(use)))
-        for j, k in enumerate(use):
-            column: Any = self.table.column(k)
-            types: Any = arrow.types
-            kind = column.type.value_type if types.is_dictionary(column.type) else column.type
-            if not (
-                types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind)
-                or types.is_decimal(kind) or types.is_null(kind)
-            ):  # fmt: skip
-                raise self.source.error(
-                    f"the column holds {str(column.type)[:40]}, not numbers", "table-not-a-number",
-                    column=self.names[k], remedy="convert it to float64, or declare it as 'ignore'",
-                )  # fmt: skip
-            with _refusing(self.source, self.names[k]):
-                values[:, j] = column.cast(kind).cast(arrow.float64(), safe=False).to_numpy()
-        return values
+        return floats(
+            self.source, self.names, len(self), use, self.table.column,
+            lambda name: _refusing(self.source, name),
+        )  # fmt: skip
 
     def texts(self, column: int) -> list[str]:
         """One column as text, white space stripped; null is empty."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.formats.arrow_columns import floats
 from fitter.formats.output import write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
@@ -49,25 +50,9 @@ class Columns:
 
     def floats(self, use: Sequence[int]) -> FloatArray:
         """The columns ``use`` as (n, len(use)); null is NaN. TableError for text, dates, nested columns."""
-        import pyarrow as arrow
-
-        values = np.empty((len(use), len(self))).T  # each column contiguous
-        for j, k in enumerate(use):
-            column = self.column(k)
-            kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
-            types = arrow.types
-            if not (
-                types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind)
-                or types.is_decimal(kind) or types.is_null(kind)
-            ):  # fmt: skip
-                raise self.source.error(
-                    f"the column holds {str(column.type)[:40]}, not numbers", "table-not-a-number",
-                    column=self.names[k], remedy="store it as float64, or declare it as 'ignore'",
-                )  # fmt: skip
-            with refusing(self.source, self.names[k]):
-                numbers = column.cast(kind).cast(arrow.float64(), safe=False).to_numpy()
-            values[:, j] = numbers
-        return values
+        return floats(
+            self.source, self.names, len(self), use, self.column, lambda name: refusing(self.source, name)
+        )
 
     def texts(self, column: int) -> list[str]:
         """One column as text, white space stripped; null is empty."""
