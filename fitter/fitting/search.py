@@ -58,7 +58,7 @@ def search(
             basins.append(Basin(u[k], b[k], float(cost[k])))
     agree = int(np.sum(cost[order] - best <= AGREE * max(best, 1e-300)))
     evidence: dict[str, Any] = {
-        "candidates": screened, "starts": len(u), "agree": agree,
+        "candidates": screened, "scanned": t == 1, "starts": len(u), "agree": agree,
         "second_basin": float(basins[1].objective / best - 1.0) if len(basins) > 1 and best > 0 else None,
     }  # fmt: skip
     return basins, evidence

@@ -161,7 +161,8 @@ def _verdict(
                     f"{label} is on its {s.estimates.at_bound[k]} bound: it has no symmetric uncertainty"
                 )
         starts = s.evidence["starts"]
-        if starts > 1 and s.evidence["agree"] == 1:
+        # Starts from the minima of a scan lie in basins of their own: none need agree.
+        if starts > 1 and s.evidence["agree"] == 1 and not s.evidence.get("scanned"):
             warnings.append(f"only 1 of {starts} starts reached the best optimum: try more starts")
     for why, count in data.left_out.items():
         warnings.append(f"{count} usable samples left out: {why}")
