@@ -76,7 +76,7 @@ def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chu
         terms = layout.terms(u, pair)
         slopes = jax.jacfwd(lambda u_: layout.terms(u_, pair))(u) if own else jnp.zeros((*terms.shape, 0))
         r = separable.model(layout, terms, inner) - y
-        rows = jnp.concatenate([terms, slopes.transpose(0, 2, 1).reshape(k * own, -1), r.T])
+        rows = jnp.concatenate([terms, slopes.transpose(0, 2, 1).reshape(k * own, terms.shape[1]), r.T])
         rows = rows * w.T
         return total + rows @ rows.T
 

@@ -73,6 +73,8 @@ def logarithmic(axes: Axes) -> None:
 
 def power_of_ten(value: float, position: int | None = None) -> str:
     del position
+    if not value > 0:
+        return "0"
     return significant(value, 1) if 0.001 <= value < 10_000 else f"1e{round(math.log10(value))}"
 
 
