@@ -45,7 +45,7 @@ def test_metadata_reads_as_text():
     assert pickle.loads(pickle.dumps(Metadata(sha256=Digest(memoryview(LARGE))))).sha256 == wanted
 
 
-@pytest.mark.filterwarnings("ignore")  # JAX, where another test of the process has imported it, warns of forks
+@pytest.mark.filterwarnings("ignore")  # JAX, where another test has imported it, warns of forks
 def test_a_forked_process_has_it_too():
     pending = Digest(memoryview(LARGE))
     pending._begun = True  # as a fork sees it whose parent's thread has not come to it yet
