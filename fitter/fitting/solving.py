@@ -34,13 +34,14 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
     Raises FitError where the objective is not finite.
     """
     metric, floor = data.metric, data.floor[list(group)]
-    index, scale = data.subset(request.subset, request.seed)
-    complete = request.polish == "full" or len(index) == len(data)
-    reduced = reduction.reduce(places, data, group) if complete and len(index) < len(data) else None
-    if reduced is None:
-        part, examined = data.part(group, index, padded(len(index)), scale), len(index)
-    else:
-        part, examined = reduced, len(data)
+    small = len(data) <= request.subset
+    complete = request.polish == "full" or small
+    part = reduced = None if small or not complete else reduction.reduce(places, data, group)
+    # Drawing a subset of a large table takes longer than searching its pseudo-samples.
+    none = (data.index[:0], np.ones(0))
+    index, scale = data.subset(request.subset, request.seed) if reduced is None else none
+    if part is None:
+        part = data.part(group, index, padded(len(index)), scale)
     weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
     clock.lap("reduce")
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
@@ -62,7 +63,7 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
     limit = math.inf if len(data) <= BLOCK else NEAR * best.normal.objective
     near = [in_order(places, end.p) for end in ends if end.normal.objective <= limit]
     clock.lap("subset polish")
-    full: Blocks = data.blocks(group) if complete and len(index) < len(data) else blocks
+    full: Blocks = data.blocks(group) if complete and not small else blocks
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
     if reduced is not None:
         # The pseudo-samples are the table: one pass made them, and their optimum is its optimum.
@@ -99,6 +100,7 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
     error = search_error(places, end, told.outer, None if complete else 1.0 - used / len(data))
     clock.lap("check")
     evidence["reduced"] = reduced is not None
+    examined = len(index) if reduced is None else len(data)
     return Group(end, found, estimates, evidence, examined, passes, error)
 
 

@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.formats.arrow_columns import floats
+from fitter.formats.arrow_columns import floats, refuse_same_names
 from fitter.formats.extras import optional_package
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
@@ -76,12 +76,7 @@ def read_arrow(source: Source, given: Any, options: ReadOptions) -> list[Table]:
             f"the table has {table.num_rows:,} rows of {len(names)} columns", "table-empty",
             remedy="check what was selected of it",
         )  # fmt: skip
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise source.error(
-            f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
-            remedy="give every column its own name",
-        )  # fmt: skip
+    refuse_same_names(source, names)
     columns = _Columns(source, table, names, np.arange(1, table.num_rows + 1))
     head = _head(source, table.schema.metadata or {})
     return read_columns(source, options, head, columns, format="arrow", text=False)

@@ -14,6 +14,16 @@ from fitter.formats.source import Source
 FloatArray = NDArray[np.float64]
 
 
+def refuse_same_names(source: Source, names: Sequence[str]) -> None:
+    """Raise TableError where several columns have one name."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise source.error(
+            f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
+            remedy="give every column its own name",
+        )  # fmt: skip
+
+
 def floats(
     source: Source, names: Sequence[str], rows: int, use: Sequence[int], column: Callable[[int], Any],
     refusing: Callable[[str], AbstractContextManager[None]],

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.formats.arrow_columns import floats
+from fitter.formats.arrow_columns import floats, refuse_same_names
 from fitter.formats.output import write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
@@ -91,12 +91,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             f"the file states {rows:,} rows of {len(names)} columns, more than {LARGEST / 1e9:.1f} GB",
             "table-too-large", remedy="write the columns of one table only, divide it, or use --out-of-core",
         )  # fmt: skip
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise source.error(
-            f"{len(twice)} names are those of several columns", "table-columns", column=twice[0],
-            remedy="give every column its own name",
-        )  # fmt: skip
+    refuse_same_names(source, names)
     columns = Columns(source, names, range(1, rows + 1))
     del file  # nothing may hold the bytes when the columns have been read
     head = head_of(source, said, FOREIGN_KEYS)
