@@ -201,6 +201,10 @@ class Usable:
             step -= 1
         return np.arange(step // 2, len(self), step), step
 
+    def fits_in(self, size: int) -> bool:
+        """Whether a subset of so many samples is all of them."""
+        return len(self) <= size
+
     def subset(self, size: int, seed: int) -> tuple[IntArray, FloatArray]:
         """Positions and weights of a systematic sample, half uniform, half by squared value.
 

@@ -34,7 +34,7 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
     Raises FitError where the objective is not finite.
     """
     metric, floor = data.metric, data.floor[list(group)]
-    small = len(data) <= request.subset
+    small = data.fits_in(request.subset)
     complete = request.polish == "full" or small
     part = reduced = None if small or not complete else reduction.reduce(places, data, group)
     # Drawing a subset of a large table takes longer than searching its pseudo-samples.

@@ -36,6 +36,10 @@ class FromFile(Usable):
     def __len__(self) -> int:
         return self.count
 
+    def fits_in(self, size: int) -> bool:
+        """Also not where the file holds more than the sample."""
+        return len(self.index) == self.count <= size
+
     def subset(self, size: int, seed: int) -> tuple[IntArray, FloatArray]:
         """Of the sample, see :meth:`Usable.subset`; the weights are those of the table's samples."""
         n = len(self.index)
