@@ -16,6 +16,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from fitter.directions import vector_from_spherical
+from fitter.fitting import separable
+from fitter.fitting.candidates import sobol
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import azimuths
 from fitter.fitting.polish import Normal, Scores, bounds
@@ -121,10 +124,35 @@ def _settled(
     span = upper[:t] - lower[:t]
     inside = (p[:t] > lower[:t] + 1e-5 * span) & (p[:t] < upper[:t] - 1e-5 * span)
     flat = np.concatenate([effect[:t] * span <= nothing.max(), np.zeros(len(p) - t, bool)])
-    # What does nothing may have come to lie anywhere: that it is on a bound means nothing either.
-    free = np.concatenate([inside | flat[:t], (p[t:] > lower[t:]) & (p[t:] < upper[t:])])
+    # What does nothing may have come to lie anywhere: that it is on a bound means nothing either. What only
+    # stands still there, as an even function of its parameter does at 0, is on it.
+    idle = flat[:t]
+    if (idle & ~inside).any():
+        idle = idle & (inside | ~_stirs(layout, p, c))
+    free = np.concatenate([inside | idle, (p[t:] > lower[t:]) & (p[t:] < upper[t:])])
     matrix[flat, :] = matrix[:, flat] = 0.0
     return p, matrix, free
+
+
+def _stirs(layout: Layout, p: FloatArray, c: int) -> NDArray[np.bool_]:
+    """(T,) whether putting an entry into the middle of its range changes the values at all."""
+    t = len(layout.entries)
+    inner = jnp.asarray(p[t:].reshape(-1, c))
+    here = separable.values(layout, jnp.asarray(p[:t]), inner, _some_pairs())
+    middle, found = np.mean(layout.box, axis=0), np.zeros(t, bool)
+    for k in range(t):
+        moved = p[:t].copy()
+        moved[k] = middle[k]
+        there = separable.values(layout, jnp.asarray(moved), inner, _some_pairs())
+        found[k] = bool(np.any(np.abs(there - here) > NOTHING * np.abs(here)))
+    return found
+
+
+def _some_pairs() -> FloatArray:
+    """(6, n) components of pairs of directions all over the hemispheres."""
+    angles = sobol(4, 256, seed=0) * np.array([0.5, 2.0, 0.5, 2.0]) * np.pi
+    w = [vector_from_spherical(*angles[:, k : k + 2].T) for k in (0, 2)]
+    return np.concatenate([part.T for part in w])
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "c"))
