@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -155,9 +156,10 @@ def _timed(
     clock.lap("prepare")
 
     solved: list[Group] = []
+    draw = functools.cache(lambda: data.subset(request.subset, request.seed))
     for k, group in enumerate(groups):
         progress((k + 0.1) / (len(groups) + 1), f"searching {request.model.name}")
-        solved.append(solve(places, request, data, group, clock))
+        solved.append(solve(places, request, data, group, draw, clock))
     progress(0.95, "writing up")
     result = write_up(table, request, metric, data, groups, solved, reduction, clock)
     budget.remember_compiled(request, places, metric, len(data), len(groups[0]))

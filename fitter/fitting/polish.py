@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from fitter.fitting import metrics, separable
 from fitter.fitting.layout import Layout
-from fitter.fitting.least_squares import MAX_PASSES, Solution, foretold, solve
-from fitter.fitting.samples import Block, Blocks, count
+from fitter.fitting.least_squares import MAX_PASSES, TOLERANCE, Solution, foretold, solve
+from fitter.fitting.samples import BLOCK, Block, Blocks, count
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,9 @@ T = TypeVar("T")
 Column = Array | FloatArray
 Arrays = tuple[Column, Column, Column, Column]
 CHUNK = 2_048
+#: The tolerance of :func:`fitter.fitting.least_squares.solve` where a pass takes time: a hundredth of a
+#: standard uncertainty.
+COARSE = 1e-4
 
 
 class Normal(NamedTuple):
@@ -52,10 +55,8 @@ def _accumulate(
     def step(index: Array, total: Array) -> Array:
         pair, _, goal, w = _chunk(block, index)
         f, columns = _columns(layout, u, inner, pair)
-        r = metrics.residual(metric, f, goal, w, floor)
-        used = w != 0
-        value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
-        x = jnp.concatenate([columns(slope), value.T[:, None, :]], axis=1)
+        value, slope = _residual(metric, f.T, goal.T, w.T, floor)
+        x = jnp.concatenate([columns(slope), value[:, None, :]], axis=1)
         return total + jnp.einsum("cin,cjn->cij", x, x)
 
     return jax.lax.fori_loop(0, chunks, step, jnp.zeros((c, own + m + 1, own + m + 1)))
@@ -73,10 +74,9 @@ def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chu
 
     def step(index: Array, total: Array) -> Array:
         pair, y, _, w = _chunk(block, index)
-        terms = layout.terms(u, pair)
-        slopes = jax.jacfwd(lambda u_: layout.terms(u_, pair))(u) if own else jnp.zeros((*terms.shape, 0))
+        terms, slopes = _with_slopes(layout, u, pair)
         r = separable.model(layout, terms, inner) - y
-        rows = jnp.concatenate([terms, slopes.transpose(0, 2, 1).reshape(k * own, terms.shape[1]), r.T])
+        rows = jnp.concatenate([terms, slopes.swapaxes(0, 1).reshape(k * own, terms.shape[1]), r.T])
         rows = rows * w.T
         return total + rows @ rows.T
 
@@ -96,38 +96,48 @@ def _chunk(block: Arrays, index: Array) -> tuple[Array, Array, Array, Array]:
     return part(block[0], 1), part(block[1]), part(block[2]), part(block[3])
 
 
+def _residual(metric: Metric, f: Array, goal: Array, w: Array, floor: Array) -> tuple[Array, Array]:
+    """The metric's residuals and slopes (C, n) of values f (C, n), 0 where the weight is.
+
+    Channels first: three to a row are no length for the processor's vectors.
+    """
+    r = metrics.residual(metric, f, goal, w, floor[:, None])
+    used = w != 0
+    return jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
+
+
+def _with_slopes(layout: Layout, u: Array, pair: Array) -> tuple[Array, Array]:
+    """Terms (K, n) at pairs (6, n) and their derivatives (T, K, n) by u (T,), by linearising once: pushing
+    every direction through the whole program takes twice as long."""
+    terms, along = jax.linearize(lambda u_: layout.terms(u_, pair), u)
+    return terms, jax.vmap(along)(jnp.eye(len(u))) if len(u) else jnp.zeros((0, *terms.shape))
+
+
 def _columns(
     layout: Layout, u: Array, inner: Array, pair: Array
 ) -> tuple[Array, Callable[[Array], Array]]:
-    """The values (n, C) at pairs (6, n), and what makes of slopes (n, C) the derivatives (C, F + M, n) of
+    """The values (n, C) at pairs (6, n), and what makes of slopes (C, n) the derivatives (C, F + M, n) of
     each channel by its own F nonlinear parameters and by its M inner entries."""
     t, alone = len(layout.free), layout.alone
-    terms = layout.terms(u, pair)
     b = layout.coefficients(u, inner)
-    f = separable.model(layout, terms, b)
     local = u[layout.where] if layout.mixed else u  # (C, F), or (F,) the same for all
     each = 0 if layout.mixed else None
-
-    def by_parameters(v: Array) -> Array:
-        return jax.jacfwd(lambda v_: alone.terms(v_, pair))(v)
-
-    if not t:
-        slopes = jnp.zeros((*terms.shape, 0))
-    else:
-        slopes = jax.vmap(by_parameters)(local) if layout.mixed else by_parameters(local)
+    look = functools.partial(_with_slopes, alone, pair=pair)
+    terms, slopes = jax.vmap(look)(local) if layout.mixed else look(local)
+    f = separable.model(layout, terms, b)
 
     def free(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array) -> Array:
-        return jnp.concatenate([jnp.einsum("knt,k->tn", slopes_c, b_c), terms_c]) * slope_c
+        return jnp.concatenate([jnp.einsum("tkn,k->tn", slopes_c, b_c), terms_c]) * slope_c
 
     def bound(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array, v: Array, l_c: Array) -> Array:
         by_v, by_l = jax.jacfwd(lambda v_, l_: alone.coefficients(v_, l_[:, None])[:, 0], (0, 1))(v, l_c)
         through = jnp.einsum("kn,kt->tn", terms_c, jnp.concatenate([by_v[:, :t], by_l], axis=1))
-        return through.at[:t].add(jnp.einsum("knt,k->tn", slopes_c, b_c)) * slope_c
+        return through.at[:t].add(jnp.einsum("tkn,k->tn", slopes_c, b_c)) * slope_c
 
     def columns(slope: Array) -> Array:
         if layout.coefficients_are_free:
-            return jax.vmap(free, in_axes=(each, each, 1, 1))(terms, slopes, b, slope)
-        return jax.vmap(bound, in_axes=(each, each, 1, 1, each, 1))(terms, slopes, b, slope, local, inner)
+            return jax.vmap(free, in_axes=(each, each, 1, 0))(terms, slopes, b, slope)
+        return jax.vmap(bound, in_axes=(each, each, 1, 0, each, 1))(terms, slopes, b, slope, local, inner)
 
     return f, columns
 
@@ -150,7 +160,7 @@ def normal_equations(
 
     def one(block: Block) -> FloatArray:
         chunks = -(-block.count // CHUNK)
-        if plain and block.weight.shape[1] == 1:
+        if plain and c > 1 and block.weight.shape[1] == 1:
             return np.asarray(_accumulate_alike(layout, u, inner, arrays(block), chunks))
         return np.asarray(_accumulate(layout, metric, u, inner, floor, arrays(block), chunks))
 
@@ -195,12 +205,12 @@ def _errors(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> Array:
     def step(index: Array, total: Array) -> Array:
-        pair, y, goal, w = _chunk(block, index)
-        f = separable.model(layout, layout.terms(u, pair), layout.coefficients(u, inner))
-        used = w != 0
-        value = jnp.where(used, metrics.residual(metric, f, goal, w, floor).value, 0.0)
-        plain = jnp.where(used, f - y, 0.0)
-        relative = plain / (jnp.abs(y) + 10.0 * floor)
+        pair, *columns = _chunk(block, index)
+        y, goal, w = (column.T for column in columns)
+        f = separable.model(layout, layout.terms(u, pair), layout.coefficients(u, inner)).T
+        value, _ = _residual(metric, f, goal, w, floor)
+        plain = jnp.where(w != 0, f - y, 0.0)
+        relative = plain / (jnp.abs(y) + 10.0 * floor[:, None])
         return total + jnp.stack([jnp.sum(a * a) for a in (value, plain, relative)])
 
     return jax.lax.fori_loop(0, chunks, step, jnp.zeros(3))
@@ -243,11 +253,9 @@ def _scores(
     def step(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         pair, _, goal, w = _chunk(block, index)
         f, columns = _columns(layout, u, inner, pair)
-        r = metrics.residual(metric, f, goal, w, floor)
-        used = w != 0
-        value, slope = jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
+        value, slope = _residual(metric, f.T, goal.T, w.T, floor)
         x = columns(slope)  # (C, F + M, n)
-        score = x * value.T[:, None, :]
+        score = x * value[:, None, :]
         flat = jnp.concatenate(
             [_gathered(layout, score[:, :own]), score[:, own:].transpose(1, 0, 2).reshape(m * c, CHUNK)]
         )
@@ -293,10 +301,11 @@ def polish(
 ) -> Polished:  # fmt: skip
     """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`."""
     lower, upper = bounds(layout, len(p))
-    freedom = max(1, count(blocks) * len(floor) - len(p))
+    samples = count(blocks)
     return solve(
-        lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper, freedom, max_passes
-    )
+        lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper,
+        max(1, samples * len(floor) - len(p)), max_passes, TOLERANCE if samples <= BLOCK else COARSE,
+    )  # fmt: skip
 
 
 def further_fall(layout: Layout, end: Polished) -> float:

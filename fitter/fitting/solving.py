@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import CHUNK, Errors, Polished, errors, polish, scores
-from fitter.fitting.samples import BLOCK, Block, Blocks, Usable, count, padded
+from fitter.fitting.samples import BLOCK, Block, Blocks, IntArray, Usable, count, padded
 from fitter.fitting.search_error import search_error
 from fitter.fitting.writeup import Group
 from fitter.spec import FitSpec
@@ -28,8 +28,13 @@ FloatArray = NDArray[np.float64]
 BASINS, NEAR = 6, 1.1
 
 
-def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], clock: Clock) -> Group:
+def solve(
+    places: Layout, request: FitSpec, data: Usable, group: Sequence[int],
+    draw: Callable[[], tuple[IntArray, FloatArray]], clock: Clock,
+) -> Group:  # fmt: skip
     """The optimum for the channels ``group`` (positions among the selected).
+
+    draw : makes the subset that is searched, the same for all groups.
 
     Raises FitError where the objective is not finite.
     """
@@ -39,7 +44,7 @@ def solve(places: Layout, request: FitSpec, data: Usable, group: Sequence[int], 
     part = reduced = None if small or not complete else reduction.reduce(places, data, group)
     # Drawing a subset of a large table takes longer than searching its pseudo-samples.
     none = (data.index[:0], np.ones(0))
-    index, scale = data.subset(request.subset, request.seed) if reduced is None else none
+    index, scale = draw() if reduced is None else none
     if part is None:
         part = data.part(group, index, padded(len(index)), scale)
     weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
