@@ -36,11 +36,12 @@ def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> 
             remedy="read the fit itself, or upload the table and fit again",
         )  # fmt: skip
     from fitter.fitting import FitResult
-    from fitter.posterior import Posterior
+    from fitter.posterior import Posterior, robust
 
     fit = FitResult.from_dict(here.results.read(row.id))
     posterior = None if posterior_id is None else Posterior.from_dict(here.results.read(posterior_id))
     table = here.tables.open(table_row).table
-    made: Any = importlib.import_module("fitter.report").build(table, fit, posterior)
+    report = importlib.import_module("fitter.report")
+    made: Any = report.build(table, fit, posterior, without_scans=robust(table, fit))
     here.results.write_report(name, "json", dumps(made.to_dict()))
     here.results.write_report(name, "html", made.html().encode())

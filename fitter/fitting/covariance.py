@@ -69,8 +69,8 @@ def natural(
         *((layout.free[k], alone if own is None else channels[own]) for k, own in layout.entries),
     ]
 
-    p, matrix, free = _settled(layout, p, normal, c)
-    values, jacobian = (np.asarray(a) for a in _to_natural(layout, c, p))
+    p, matrix, free = settled(layout, p, normal, c)
+    values, jacobian = (np.asarray(a) for a in to_natural(layout, c, p))
     cov, open_directions = _inverse(matrix, scores.outer, free, None if likelihood else samples)
     spread = jacobian @ cov @ jacobian.T
     low, high = layout.box
@@ -101,7 +101,7 @@ def natural(
     return Natural(tuple(labels), values, spread, tuple(at_bound), tuple(unidentified))
 
 
-def _settled(
+def settled(
     layout: Layout, p: FloatArray, normal: Normal, c: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """The vector with what is on a bound put exactly there, the matrix (P, P) with flat parameters exactly
@@ -156,8 +156,11 @@ def _some_pairs() -> FloatArray:
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "c"))
-def _to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
-    """The parameters in their own units (Q,), linear ones first, and their derivatives (Q, P)."""
+def to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
+    """The parameters in their own units (Q,), linear ones first, and their derivatives (Q, P).
+
+    c : channels of the group.
+    """
     t = len(layout.entries)
     logs = np.array([layout.logs[k] for k, _ in layout.entries], bool)
 

@@ -142,12 +142,15 @@ def _columns(
     return f, columns
 
 
-def _gathered(layout: Layout, scores: Array) -> Array:
-    """(T, n) scores of the entries of u, from those of the channels' parameters (C, F, n)."""
-    if not layout.mixed:
-        return scores.sum(0)
-    rows = jnp.zeros((len(layout.entries), scores.shape[2]))
-    return rows.at[layout.where].add(scores)
+def _flat(layout: Layout, scores: Array) -> Array:
+    """(P, n) scores of the entries of the vector p, from those of each channel's parameters and inner entries
+    (C, F + M, n)."""
+    own, by_inner = len(layout.free), scores[:, len(layout.free) :]
+    if layout.mixed:
+        by_u = jnp.zeros((len(layout.entries), scores.shape[2])).at[layout.where].add(scores[:, :own])
+    else:
+        by_u = scores[:, :own].sum(0)
+    return jnp.concatenate([by_u, by_inner.transpose(1, 0, 2).reshape(-1, scores.shape[2])])
 
 
 def normal_equations(
@@ -255,10 +258,7 @@ def _scores(
         f, columns = _columns(layout, u, inner, pair)
         value, slope = _residual(metric, f.T, goal.T, w.T, floor)
         x = columns(slope)  # (C, F + M, n)
-        score = x * value[:, None, :]
-        flat = jnp.concatenate(
-            [_gathered(layout, score[:, :own]), score[:, own:].transpose(1, 0, 2).reshape(m * c, CHUNK)]
-        )
+        flat = _flat(layout, x * value[:, None, :])
         energy = jnp.square(x[:, own:])
         moments = (energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T)
         return carry[0] + flat @ flat.T, carry[1] + moments[0], carry[2] + moments[1]
@@ -266,6 +266,73 @@ def _scores(
     size = len(layout.entries) + m * c
     zero = (jnp.zeros((size, size)), jnp.zeros((m, c)), jnp.zeros((m, c)))
     return jax.lax.fori_loop(0, chunks, step, zero)
+
+
+def sample_scores(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, block: Block
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals (C, n) of the samples of a block at the vector p, and their derivatives (P, C, n) by it."""
+    value, slopes = (np.asarray(a) for a in _sample_scores(layout, metric, p, floor, arrays(block)))
+    return value[:, : block.count], slopes[:, :, : block.count]
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _sample_scores(
+    layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays
+) -> tuple[Array, Array]:
+    pair, _, goal, w = (jnp.asarray(column) for column in block)
+    t, c = len(layout.entries), floor.shape[0]
+    f, columns = _columns(layout, p[:t], p[t:].reshape(-1, c), pair)
+    value, slope = _residual(metric, f.T, goal.T, w.T, floor)
+    x = columns(slope)  # (C, F + M, n)
+    each = [_flat(layout, x * (jnp.arange(c) == k)[:, None, None]) for k in range(c)]
+    return value, jnp.stack(each, axis=1)
+
+
+class ScanSums(NamedTuple):
+    """Sums over the samples of each of G scans: scores (G, P), half the gradient of the objective, and their
+    exact derivatives (G, P, P), in which the slope of the metric moves with the model."""
+
+    scores: FloatArray
+    slopes: FloatArray
+
+
+def scan_sums(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, block: Block, label: NDArray[np.intp],
+    scans: int,
+) -> ScanSums:  # fmt: skip
+    """The sums at the vector p of the samples of a block, (n,) of which ``label`` gives the scan."""
+    padded = np.full(len(block.y), -1)
+    padded[: len(label)] = label
+    # Few counts of scans are compiled for.
+    most = -(-scans // 16) * 16
+    found = _scan_sums(layout, metric, p, floor, arrays(block), padded, -(-block.count // CHUNK), most)
+    return ScanSums(*(np.asarray(part)[:scans] for part in found))
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric", "scans"))
+def _scan_sums(
+    layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays, label: Array, chunks: Array,
+    scans: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    t = len(layout.entries)
+
+    def step(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        pair, _, goal, w = _chunk(block, index)
+        here = jax.lax.dynamic_slice_in_dim(label, index * CHUNK, CHUNK)
+        member = (here[:, None] == jnp.arange(scans)).astype(pair.dtype)
+
+        def scores_of(p_: Array) -> tuple[Array, Array]:
+            f, columns = _columns(layout, p_[:t], p_[t:].reshape(-1, floor.shape[0]), pair)
+            value, slope = _residual(metric, f.T, goal.T, w.T, floor)
+            found = (_flat(layout, columns(slope) * value[:, None, :]) @ member).T
+            return found, found
+
+        slopes, scores = jax.jacfwd(scores_of, has_aux=True)(p)
+        return carry[0] + scores, carry[1] + slopes
+
+    size = len(p)
+    return jax.lax.fori_loop(0, chunks, step, (jnp.zeros((scans, size)), jnp.zeros((scans, size, size))))
 
 
 def arrays(block: Block) -> Arrays:

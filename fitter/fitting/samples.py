@@ -188,12 +188,12 @@ class Usable:
 
     def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, int]:
         """Of a large table an evenly spaced part, and how many samples each of it stands for."""
-        rows, step = self._evenly(ENOUGH)
+        rows, step = self.evenly(ENOUGH)
         if step == 1:
             return self.blocks(channels), 1
         return TableBlocks(self, tuple(channels), rows=rows), step
 
-    def _evenly(self, most: int) -> tuple[IntArray, int]:
+    def evenly(self, most: int) -> tuple[IntArray, int]:
         """About ``most`` evenly spaced positions at least, and the step between them."""
         step = max(1, len(self) // most)
         # A step that divides the length of the grid's rows would meet the same columns again and again.
@@ -214,7 +214,7 @@ class Usable:
         """
         if len(self) <= size:
             return np.arange(len(self)), np.ones(len(self))
-        rows, step = self._evenly(max(ENOUGH, 8 * size))
+        rows, step = self.evenly(max(ENOUGH, 8 * size))
         chosen, scale = self.drawn(rows, np.full(len(rows), float(step)), size, seed)
         return rows[chosen], scale
 

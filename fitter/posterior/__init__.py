@@ -1,4 +1,4 @@
-"""Posteriors of fitted parameters: likelihood, ensemble sampling, diagnostics.
+"""Posteriors of fitted parameters: likelihood, ensemble sampling, diagnostics; uncertainties without one.
 
 The room is itself callable: ``fitter.posterior(table, fit)`` is :func:`sample`. The name of the verb and
 the name of the room are both fixed, and importing a submodule binds the room's name in the package, so the
@@ -11,10 +11,11 @@ import sys
 import types
 from typing import Any
 
+from fitter.posterior.jackknife import Robust, robust
 from fitter.posterior.result import Diagnostic, Posterior, load_posterior
 from fitter.posterior.run import sample
 
-__all__ = ["Diagnostic", "Posterior", "load_posterior", "sample"]
+__all__ = ["Diagnostic", "Posterior", "Robust", "load_posterior", "robust", "sample"]
 
 
 class _CallableRoom(types.ModuleType):

@@ -17,6 +17,7 @@ from fitter.report import (
     provenance,
     reflectance,
     residuals,
+    robust,
     selection,
     slices,
     verdict,
@@ -28,6 +29,7 @@ from fitter.report.report import KIND, VERSION, Report
 if TYPE_CHECKING:
     from fitter.compression import CompressedTable
     from fitter.fitting.result import FitResult
+    from fitter.posterior.jackknife import Robust
     from fitter.posterior.result import Posterior
     from fitter.table import Table
 
@@ -38,6 +40,7 @@ def build(
     posterior: Posterior | None = None,
     *,
     others: Sequence[FitResult] = (),
+    without_scans: Robust | None = None,
 ) -> Report:
     """The report of a fit.
 
@@ -46,6 +49,7 @@ def build(
     table : the table that was fitted; another one is reported on, but the verdict says so first.
     posterior : of the same fit, or None.
     others : further fits of the same table, for the comparison.
+    without_scans : :func:`fitter.posterior.robust` of the fit, or None.
 
     Raises
     ------
@@ -69,6 +73,7 @@ def build(
         "title": f"{fitted.table.metadata.name or 'table'}: {fit.spec.model.name}",
         "fit": _fit(fitted),
         "parameters": parameters.section(fitted, posterior),
+        "robust": robust.section(fitted, without_scans),
         "correlation": parameters.correlation(fitted),
         "residuals": residuals.section(fitted, seed),
         "slices": slices.section(fitted, posterior, seed),

@@ -33,7 +33,7 @@ def section(record: Record) -> dict[str, Any]:
     return {
         "level": level,
         "headline": HEADLINES[level],
-        "sentences": [_misfit(record), _parameters(record), _posterior(record)],
+        "sentences": [_misfit(record), _parameters(record), *_robust(record), _posterior(record)],
         "reasons": [*bad, *caution],
         "limits": _limits(record),
         "thresholds": {"relative_rmse": LARGE_MISFIT, "birge_ratio": LARGE_BIRGE},
@@ -45,11 +45,12 @@ def _limits(record: Record) -> list[str]:
     found = [record["parameters"]["meaning"]]
     share = _systematic(record)
     if share is not None and share > MOSTLY_SYSTEMATIC:
-        found.append(
-            "Most of the residual is systematic. The uncertainties and credible intervals here take it for "
-            "noise that is independent from sample to sample, and are then too small, typically several "
-            "times."
+        text = (
+            "Most of the residual is systematic. u and the credible intervals take it for noise that is "
+            "independent from sample to sample, and are then too small, typically several times"
         )
+        known = record["robust"] is not None
+        found.append(f"{text}: rely on the robust uncertainties instead." if known else f"{text}.")
     if record["parameters"]["scale_uncertainty"] is None:
         found.append(
             "The table states no scale uncertainty: a calibration error common to all of it is not in u."
@@ -177,6 +178,25 @@ def _parameters(record: Record) -> str:
             f"{text['expanded_uncertainty']} (k = {k:g})"
         )
     return "; ".join(parts) + "."
+
+
+def _robust(record: Record) -> list[str]:
+    """By how much the uncertainties grow when the residuals of a scan are taken to belong together."""
+    found = record["robust"]
+    if found is None or found["median_ratio"] is None:
+        return []
+    worth = min(found["effective_samples"].values())
+    times = significant(found["median_ratio"], 2)
+    text = (
+        f"Residuals of neighbouring directions belong together ({record['fit']['samples']:,} samples are "
+        f"worth about {significant(worth, 2)} independent ones): the robust standard uncertainties are "
+        f"{times} times those of the fit, in the median"
+    )
+    if found["scans"]:
+        text += f", by leaving out {found['words']}"
+    if resting := found["resting"]:
+        text += f"; {_listed(resting)} {'rests' if len(resting) == 1 else 'rest'} on one scan"
+    return [text + "."]
 
 
 def _posterior(record: Record) -> str:

@@ -15,6 +15,7 @@ from fitter import directions, models
 from fitter.compression import compress
 from fitter.errors import SpecError
 from fitter.fitting.result import Estimate, FitResult
+from fitter.posterior import Robust
 from fitter.report import Report, build, load_report
 from fitter.report.parameters import scale_sensitivity
 from fitter.spec import FAMILIES, FitSpec, Select
@@ -22,8 +23,8 @@ from fitter.table import Table
 from tests.report.conftest import MakeFit, MakePosterior, MakeTable, strict
 
 SECTIONS = (
-    "kind", "version", "created", "title", "fit", "parameters", "correlation", "residuals", "slices",
-    "reflectance", "posterior", "selection", "cost", "table", "quality", "comparison", "provenance",
+    "kind", "version", "created", "title", "fit", "parameters", "robust", "correlation", "residuals",
+    "slices", "reflectance", "posterior", "selection", "cost", "table", "quality", "comparison", "provenance",
     "warnings", "verdict",
 )  # fmt: skip
 
@@ -208,6 +209,31 @@ def test_a_systematic_misfit_is_said_to_make_u_too_small(make_table: MakeTable, 
     right = models.create("ward", channels=("value",), kd=0.1, ks=0.05, alpha=0.15)
     limits = strict(build(table, replace(fit, model=right)))["verdict"]["limits"]
     assert not any("several times" in text for text in limits)
+
+
+def test_robust_uncertainties_stand_beside_those_of_independent_residuals(
+    make_table: MakeTable, make_fit: MakeFit
+) -> None:
+    table = make_table(("R", "G"))
+    fit = make_fit(table, u=0.01)
+    labels = fit.labels
+    found = Robust(
+        labels=labels, standard_uncertainty={label: 0.03 * (k + 1) for k, label in enumerate(labels)},
+        covariance=np.eye(len(labels)), degrees_of_freedom=4.0, coverage_factor=2.776, method="larger",
+        scans=5, words="5 incident polar angles", effective_samples=(7.5, 3.25), rests_on={"alpha": (2, 0.9)},
+    )  # fmt: skip
+    report = build(table, fit, without_scans=found)
+    record = strict(report, drawn=True)["robust"]
+    assert record["effective_samples"] == {"R": 7.5, "G": 3.25}
+    assert record["resting"] == ["alpha"]
+    row = next(row for row in record["rows"] if row["label"] == "alpha")
+    u = found.standard_uncertainty["alpha"]
+    assert (row["fit"], row["standard_uncertainty"]) == (pytest.approx(0.0015), u)
+    assert (row["lower"], row["upper"]) == pytest.approx((0.15 - 2.776 * u, 0.15 + 2.776 * u))
+    sentence = report.to_dict()["verdict"]["sentences"][2]
+    assert "worth about 3.3 independent ones" in sentence or "worth about 3.2 independent ones" in sentence
+    assert "by leaving out 5 incident polar angles; alpha rests on one scan." in sentence
+    assert build(table, fit).to_dict()["robust"] is None
 
 
 def test_slices_hold_the_samples_of_their_plane(make_table: MakeTable, make_fit: MakeFit) -> None:

@@ -50,7 +50,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     lap("load")
     start_numerics(screen)
     from fitter.cli.verbs.fit import fit_all
-    from fitter.posterior import sample
+    from fitter.posterior import robust, sample
     from fitter.report import build
 
     lap("start the numerics")
@@ -71,7 +71,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     screen.note(f"posterior of {chosen.spec.model.name}: {posterior.status.replace('_', ' ')}")
     lap("sample the posterior")
     others = [result for result in results if result is not chosen]
-    build(opened.table, chosen, posterior, others=others).save(out)
+    without = robust(opened.table, chosen)
+    build(opened.table, chosen, posterior, others=others, without_scans=without).save(out)
     lap("write the report")
     page = (out / "report.html").resolve()
     document: dict[str, Any] = {

@@ -37,7 +37,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     out = output_folder(given.out)
     start_numerics(screen)
-    from fitter.posterior import load_posterior
+    from fitter.posterior import load_posterior, robust
     from fitter.report import build
 
     found = [(path, result) for path in given.result for result in load_results(path)]
@@ -62,7 +62,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     path = next(path for path, result in found if result is chosen)
     opened = reading.table_of(chosen.table, given.table, reading.reading_options(given), result=path)
     others = [result for result in results if result is not chosen]
-    build(opened.table, chosen, posterior, others=others).save(out)
+    without = robust(opened.table, chosen)
+    build(opened.table, chosen, posterior, others=others, without_scans=without).save(out)
     page, record = out / "report.html", out / "report.json"
     document = {
         "kind": "brdf-fitter/report-written", "model": chosen.spec.model.name, "html": str(page),
