@@ -12,10 +12,13 @@ import types
 from typing import Any
 
 from fitter.posterior.jackknife import Robust, robust
+from fitter.posterior.predictive import Predictive, predictive
 from fitter.posterior.result import Diagnostic, Posterior, load_posterior
 from fitter.posterior.run import sample
 
-__all__ = ["Diagnostic", "Posterior", "Robust", "load_posterior", "robust", "sample"]
+__all__ = [
+    "Diagnostic", "Posterior", "Predictive", "Robust", "load_posterior", "predictive", "robust", "sample",
+]  # fmt: skip
 
 
 class _CallableRoom(types.ModuleType):

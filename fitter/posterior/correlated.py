@@ -40,7 +40,7 @@ class Correlation:
 
     def at(self, distance: FloatArray) -> FloatArray:
         """The correlation of two different samples at a distance."""
-        return self.share * _matern(distance / self.reach)
+        return self.share * matern(distance / self.reach)
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,13 @@ def correlation(z: FloatArray, distance: FloatArray) -> Correlation:
     weight = np.sqrt(np.minimum([len(part) for part in classes], 30.0 * len(z)))
     best, chosen = np.inf, Correlation(0.0, float(RANGES[0]))
     for reach in RANGES:
-        share, rest = nnls((_matern(middle / reach) * weight)[:, None], mean * weight)
+        share, rest = nnls((matern(middle / reach) * weight)[:, None], mean * weight)
         if rest < best and share[0] > 0:
             best, chosen = rest, Correlation(min(1.0, float(share[0])), float(reach))
     return chosen
 
 
-def _matern(x: FloatArray) -> FloatArray:
+def matern(x: FloatArray) -> FloatArray:
+    """Matern's correlation with smoothness 3/2 at distances x, in units of the range."""
     scaled = np.sqrt(3.0) * x
     return (1.0 + scaled) * np.exp(-scaled)

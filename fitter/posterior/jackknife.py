@@ -99,7 +99,7 @@ def robust(table: Table | CompressedTable, fit: FitResult) -> Robust:
     SpecError : the table lacks a channel of the fit.
     """
     whole = table.decompress() if isinstance(table, CompressedTable) else table
-    data = _data(whole, fit)
+    data = used_by(whole, fit)
     rows, _ = data.evenly(BLOCK // 2)
     if len(rows) > BLOCK:
         rows = rows[np.linspace(0, len(rows) - 1, BLOCK).astype(np.intp)]
@@ -140,7 +140,7 @@ def robust(table: Table | CompressedTable, fit: FitResult) -> Robust:
     )
 
 
-def _data(table: Table, fit: FitResult) -> Usable:
+def used_by(table: Table, fit: FitResult) -> Usable:
     """The samples of the fit. Raises SpecError where its channels are not the table's."""
     names = [channel.name for channel in table.channels]
     missing = [name for name in fit.model.channels if name not in names]

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fitter.compression import CompressedTable
     from fitter.fitting.result import FitResult
     from fitter.posterior.jackknife import Robust
+    from fitter.posterior.predictive import Predictive
     from fitter.posterior.result import Posterior
     from fitter.table import Table
 
@@ -41,6 +42,7 @@ def build(
     *,
     others: Sequence[FitResult] = (),
     without_scans: Robust | None = None,
+    bands: Predictive | None = None,
 ) -> Report:
     """The report of a fit.
 
@@ -49,7 +51,8 @@ def build(
     table : the table that was fitted; another one is reported on, but the verdict says so first.
     posterior : of the same fit, or None.
     others : further fits of the same table, for the comparison.
-    without_scans : :func:`fitter.posterior.robust` of the fit, or None.
+    without_scans, bands : :func:`fitter.posterior.robust` and :func:`fitter.posterior.predictive` of the fit,
+        or None.
 
     Raises
     ------
@@ -76,7 +79,7 @@ def build(
         "robust": robust.section(fitted, without_scans),
         "correlation": parameters.correlation(fitted),
         "residuals": residuals.section(fitted, seed),
-        "slices": slices.section(fitted, posterior, seed),
+        "slices": slices.section(fitted, posterior, bands, seed),
         "reflectance": reflectance.section(fitted),
         "posterior": convergence.section(fitted, posterior),
         "selection": selection.section(fit),

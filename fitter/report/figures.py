@@ -186,6 +186,13 @@ def slice_pictures(record: Record) -> list[Picture]:
         for k, name in enumerate(section["channels"]):
             x, fit = _floats(cut["curve"]["theta_o_deg"]), _floats(cut["curve"]["fit"][name])
             measured = _floats(cut["points"]["measured"][name])
+            if cut["curve"].get("predictive_lower") is not None:
+                lower, upper = (
+                    _floats(cut["curve"][end][name]) for end in ("predictive_lower", "predictive_upper")
+                )
+                axes.fill_between(x, lower, upper, color=colour[name], alpha=0.10, linewidth=0)
+                for edge in (lower, upper):
+                    axes.plot(x, edge, color=colour[name], alpha=0.45, linewidth=0.6)
             if cut["curve"]["lower"] is not None:
                 lower, upper = (_floats(cut["curve"][end][name]) for end in ("lower", "upper"))
                 axes.fill_between(x, lower, upper, color=colour[name], alpha=0.18, linewidth=0)

@@ -14,6 +14,7 @@ from fitter.report.fitted import Fitted, restricted, thin
 from fitter.report.plane import incidence_groups, is_wide, near_plane, one_azimuth, signed_theta
 
 if TYPE_CHECKING:
+    from fitter.posterior.predictive import Predictive
     from fitter.posterior.result import Posterior
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +23,9 @@ MOST_POINTS = 600
 LEVEL = 0.95
 
 
-def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str, Any]:
+def section(
+    fitted: Fitted, posterior: Posterior | None, bands: Predictive | None, seed: int
+) -> dict[str, Any]:
     """Up to six slices, JSON-ready: theta_o signed in degrees, positive on the specular side; f in 1/sr."""
     index, tolerance = near_plane(fitted.table, fitted.index)
     if not len(index):
@@ -31,6 +34,7 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
             "azimuth_deg": None,
             "channels": [],
             "level": None,
+            "predictive_level": None,
             "slices": [],
         }
     wi, wo = fitted.table.directions(index)
@@ -47,13 +51,17 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     at_i, at_o = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
     values = evaluated(fitted.fit.model, at_i, at_o)[:, fitted.shown]
     band = None if posterior is None else restricted(posterior, shown).predict(at_i, at_o, LEVEL)
+    wide = None if bands is None else [edge[:, fitted.shown] for edge in bands.predict(at_i, at_o, LEVEL)]
     ends = np.cumsum([len(c) for c in curves])[:-1]
     found: list[dict[str, Any]] = []
     for k, group in enumerate(groups):
         point = thin(group, MOST_POINTS, seed)
         measured = fitted.values(index[point])[:, fitted.shown]
         fit_k = np.split(values, ends)[k]
-        lower, upper = (None, None) if band is None else (np.split(edge, ends)[k] for edge in band)
+        lower, upper, least, most = (
+            None if edge is None else _by_channel(shown, np.split(edge, ends)[k])
+            for edge in (*(band or (None, None)), *(wide or (None, None)))
+        )
         found.append(
             {
                 "theta_i_deg": float(np.rad2deg(incidences[k])),
@@ -66,8 +74,8 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
                 "curve": {
                     "theta_o_deg": drawn(curves[k], 7),
                     "fit": _by_channel(shown, fit_k),
-                    "lower": None if lower is None else _by_channel(shown, lower),
-                    "upper": None if upper is None else _by_channel(shown, upper),
+                    "lower": lower, "upper": upper,
+                    "predictive_lower": least, "predictive_upper": most,
                 },
             }
         )
@@ -76,6 +84,7 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
         "azimuth_deg": azimuth,
         "channels": list(shown),
         "level": None if posterior is None else LEVEL,
+        "predictive_level": None if bands is None else LEVEL,
         "slices": found,
     }
 

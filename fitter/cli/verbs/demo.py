@@ -50,7 +50,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     lap("load")
     start_numerics(screen)
     from fitter.cli.verbs.fit import fit_all
-    from fitter.posterior import robust, sample
+    from fitter.posterior import predictive, robust, sample
     from fitter.report import build
 
     lap("start the numerics")
@@ -72,7 +72,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     lap("sample the posterior")
     others = [result for result in results if result is not chosen]
     without = robust(opened.table, chosen)
-    build(opened.table, chosen, posterior, others=others, without_scans=without).save(out)
+    bands = predictive(opened.table, chosen, without)
+    build(opened.table, chosen, posterior, others=others, without_scans=without, bands=bands).save(out)
     lap("write the report")
     page = (out / "report.html").resolve()
     document: dict[str, Any] = {

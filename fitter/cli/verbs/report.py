@@ -37,7 +37,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     out = output_folder(given.out)
     start_numerics(screen)
-    from fitter.posterior import load_posterior, robust
+    from fitter.posterior import load_posterior, predictive, robust
     from fitter.report import build
 
     found = [(path, result) for path in given.result for result in load_results(path)]
@@ -63,7 +63,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     opened = reading.table_of(chosen.table, given.table, reading.reading_options(given), result=path)
     others = [result for result in results if result is not chosen]
     without = robust(opened.table, chosen)
-    build(opened.table, chosen, posterior, others=others, without_scans=without).save(out)
+    bands = predictive(opened.table, chosen, without, chosen.spec.seed)
+    build(opened.table, chosen, posterior, others=others, without_scans=without, bands=bands).save(out)
     page, record = out / "report.html", out / "report.json"
     document = {
         "kind": "brdf-fitter/report-written", "model": chosen.spec.model.name, "html": str(page),

@@ -1,0 +1,99 @@
+"""Bands of new measurements: their quantile, and that they hold what they say where the model misses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+import fitter
+from fitter import Table, models
+from fitter.posterior import predictive, robust
+from fitter.posterior.predictive import folded_quantile
+from tests.posterior.test_jackknife import scans
+
+
+@given(
+    st.floats(-20.0, 20.0), st.floats(1e-3, 30.0), st.sampled_from([0.5, 0.68, 0.95, 0.999])
+)  # fmt: skip
+def test_the_folded_quantile(mean: float, deviation: float, level: float):
+    q = float(folded_quantile(np.array([mean]), np.array([deviation]), level)[0])
+    normal = stats.norm(mean, deviation)
+    assert float(normal.cdf(q) - normal.cdf(-q)) == pytest.approx(level, abs=1e-6)
+
+
+def missed(seed: int) -> tuple[Table, np.ndarray]:
+    """A surface of two lobes with 1 % noise, which one lobe can't fit, and the scan of each sample."""
+    wi, wo, scan = scans(np.deg2rad(np.linspace(3.0, 70.0, 14)))
+    exact = np.asarray(
+        models.create("ward", channels=["c"], kd=0.2, ks=0.06, alpha=0.12).evaluate(wi, wo)
+    ) + np.asarray(models.create("ward", channels=["c"], kd=0.0, ks=0.08, alpha=0.45).evaluate(wi, wo))
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(exact.shape)
+    return Table(wi=wi, wo=wo, value=exact * (1 + noise)), scan
+
+
+def interval_score(lower: np.ndarray, upper: np.ndarray, y: np.ndarray) -> float:
+    """Of 95 % intervals, smaller is better (T. Gneiting, A. Raftery 2007, eq. 43)."""
+    outside = np.maximum(lower - y, 0.0) + np.maximum(y - upper, 0.0)
+    return float(np.mean(upper - lower + 2 / 0.05 * outside))
+
+
+@pytest.mark.parametrize("held_out", ["random", "scans"])
+def test_bands_hold_what_they_say_and_score_better_than_one_number_for_the_misfit(held_out):
+    """Held-out scans lie between fitted ones, or beside the outermost."""
+    inside, bright, score = [], [], []
+    for seed in range(4):
+        table, scan = missed(seed)
+        some = np.random.default_rng([seed, 2]).random(len(scan)) < 0.5
+        used = some if held_out == "random" else scan % 2 == seed % 2
+        part = Table(wi=table.wi[used], wo=table.wo[used], value=table.value[used])
+        fit = fitter.fit(part, "ward")
+        found = predictive(part, fit, robust(part, fit), seed=3)
+        y = table.value[~used]
+        lower, upper = found.predict(table.wi[~used], table.wo[~used])
+        held = (y >= lower) & (y <= upper)
+        inside.append(held.mean())
+        bright.append(held[y >= np.quantile(y, 0.9)].mean())
+        f = np.asarray(fit.model.evaluate(table.wi[~used], table.wo[~used]))
+        misfit = part.value - np.asarray(fit.model.evaluate(part.wi, part.wo))
+        constant = 1.96 * float(np.sqrt(np.mean(np.square(misfit))))
+        score.append(interval_score(lower, upper, y) / interval_score(f - constant, f + constant, y))
+    assert 0.92 <= np.mean(inside) <= 0.995, inside
+    assert np.mean(bright) > 0.8, bright
+    assert np.mean(score) < 0.7, score
+
+
+def test_the_parameters_are_part_of_the_band():
+    """Without misfit and with hardly any noise the band is what the parameters' covariance makes of it."""
+    wi, wo, _ = scans()
+    exact = np.asarray(models.create("ward", channels=["c"], kd=0.2, ks=0.1, alpha=0.2).evaluate(wi, wo))
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(exact.shape)
+    table = Table(wi=wi, wo=wo, value=exact * (1 + noise))
+    fit = fitter.fit(table, "ward")
+    found = predictive(table, fit)
+    assert found.labels[0].startswith("kd")
+    widened = dataclasses.replace(found, covariance=np.diag([1e-4, 0.0, 0.0]))
+    lower, upper = widened.predict(wi[:50], wo[:50])
+    # u(kd) = 0.01 moves f by 0.01/pi everywhere.
+    np.testing.assert_allclose(upper - lower, 2 * 1.96 * 0.01 / np.pi, rtol=1e-3)
+
+
+def test_the_same_seed_gives_the_same_band():
+    table, _ = missed(5)
+    fit = fitter.fit(table, "ward")
+    first, again = (predictive(table, fit, seed=6).predict(table.wi[:9], table.wo[:9]) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_a_table_of_nothing_but_one_value_has_a_band():
+    wi, wo, _ = scans()
+    table = Table(wi=wi, wo=wo, value=np.full((len(wi), 1), 0.1))
+    fit = fitter.fit(table, "lambert")
+    lower, upper = predictive(table, fit).predict(wi[:5], wo[:5])
+    assert np.isfinite(lower).all()
+    assert np.isfinite(upper).all()
+    np.testing.assert_allclose(0.5 * (lower + upper), 0.1, rtol=1e-6)
