@@ -17,8 +17,7 @@ FAMILIES = ["ward", "torrance_sparrow", "lafortune", "oren_nayar"]
 
 @pytest.fixture(scope="module")
 def base() -> Table:
-    """Of the size and the channels that other tests have: the same programs serve it."""
-    return scattered(models.create("ward", kd=[0.2, 0.3, 0.4], ks=0.1, alpha=0.15), 1)
+    return scattered(models.create("ward", channels=["c"], kd=0.2, ks=0.1, alpha=0.15), 1, n=300)
 
 
 @pytest.mark.parametrize("name", [*FAMILIES, "lafortune:3"])
@@ -27,15 +26,13 @@ def test_f01_fewer_values_than_parameters(name, base):
     with pytest.raises(FitError) as caught:
         fitter.fit(few, name)
     assert caught.value.code == "too-few-samples"
-    # Lafortune's channels are solved apart.
-    values = 1 if name.startswith("lafortune") else 3
-    assert f"{values} usable values can't determine" in str(caught.value)
+    assert "1 usable values can't determine" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_f02_nothing_but_zeros(name, base):
     with pytest.raises(FitError) as caught:
-        fitter.fit(Table(wi=base.wi, wo=base.wo, value=np.zeros_like(base.value)), name)
+        fitter.fit(Table(wi=base.wi, wo=base.wo, value=np.zeros(300)), name)
     assert caught.value.code == "nothing-to-fit"
     assert "all values are zero" in str(caught.value)
 
@@ -43,7 +40,7 @@ def test_f02_nothing_but_zeros(name, base):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_f03_a_constant_table_leaves_the_lobe_open(name, base):
     """What fits a constant exactly is the diffuse term: no number of the lobe is stated as determined."""
-    fit = fitter.fit(Table(wi=base.wi, wo=base.wo, value=np.full_like(base.value, 0.1)), name)
+    fit = fitter.fit(Table(wi=base.wi, wo=base.wo, value=np.full(300, 0.1)), name)
     assert fit.status in ("not_identified", "converged")
     if name == "oren_nayar":
         assert fit.parameters["sigma"].at_bound == ("lower",)
@@ -56,14 +53,14 @@ def test_f03_a_constant_table_leaves_the_lobe_open(name, base):
 
 
 def test_f04_one_incidence_only(base):
-    wi = np.tile([[0.6, 0.0, 0.8]], (len(base), 1))
-    value = np.asarray(models.create("ward", kd=[0.2, 0.3, 0.4], ks=0.1).evaluate(wi, base.wo))
+    wi = np.tile([[0.6, 0.0, 0.8]], (300, 1))
+    value = np.asarray(models.create("ward", channels=["c"], kd=0.2, ks=0.1).evaluate(wi, base.wo))
     fit = fitter.fit(Table(wi=wi, wo=base.wo, value=value), "ward")
     assert any("one incidence only" in warning for warning in fit.warnings)
 
 
 @pytest.mark.parametrize(
-    ("sigma", "left"), [(0.0, 1999), (np.inf, 1999), (np.nan, 1999), (-1.0, 1999)]
+    ("sigma", "left"), [(0.0, 299), (np.inf, 299), (np.nan, 299), (-1.0, 299)]
 )  # fmt: skip
 def test_f05_weights_that_are_no_numbers_are_left_out(sigma, left, base):
     """u = 0 would be an infinite weight, u = inf none: both are masked by the table and counted."""
