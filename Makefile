@@ -27,7 +27,7 @@ demo: .venv/.installed ## fit a bundled table with all models and write demo/rep
 
 # Each core has a test process already: more threads of the linear algebra only stand in each other's way.
 test: .venv/.installed ## run the tests
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
 lint: .venv/.installed ## check style and types
 	$(BIN)/ruff check .

@@ -35,6 +35,7 @@ def serve(
     """
     settings = Settings(folder=folder, workers=workers)
     check_folder(settings)
+    _jax.compile_sooner()
     _jax.use_compilation_cache(folder / "xla")
     config = uvicorn.Config(
         create_app(settings), host=host, port=port, log_level=log_level, server_header=False,

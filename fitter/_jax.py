@@ -32,6 +32,17 @@ def use_compilation_cache(folder: Path) -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
+def compile_sooner() -> None:
+    """Have XLA compile in half the time, for programs as fast: without its newer way of emitting fusions.
+
+    For a process of our own, before its first program: XLA reads XLA_FLAGS once, and what they say of this
+    already stands. It ends the process at a flag that it doesn't know: only releases that have it get it.
+    """
+    said = os.environ.get("XLA_FLAGS", "")
+    if jax.__version_info__[:2] == (0, 10) and "xla_cpu_use_fusion_emitters" not in said:
+        os.environ["XLA_FLAGS"] = f"{said} --xla_cpu_use_fusion_emitters=false".strip()
+
+
 def default_cache_folder() -> Path:
     """``$XDG_CACHE_HOME/brdf-fitter/xla`` or its usual place below the home folder."""
     base = os.environ.get("XDG_CACHE_HOME")

@@ -7,12 +7,24 @@ import itertools
 import os
 from pathlib import Path
 
-import jax
 import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 import tests.typecheck  # noqa: F401 (the hook names it by its place)
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Compiled programs are shared by the test processes and by the commands they start. JAX reads this once, when
+# it is first imported.
+os.environ["XDG_CACHE_HOME"] = str(ROOT / ".cache")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "brdf-fitter" / "xla"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+
+import jax  # noqa: E402
+
+from fitter._jax import compile_sooner  # noqa: E402
 
 # Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
 # Not the requests themselves (fit, FitSpec): their own errors are what is tested.
@@ -30,14 +42,9 @@ settings.register_profile(
 )
 settings.load_profile("project")
 
-ROOT = Path(__file__).resolve().parent.parent
-
-# Compiled programs are shared by the test processes and by the commands they start.
-os.environ["XDG_CACHE_HOME"] = str(ROOT / ".cache")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "brdf-fitter" / "xla"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
-
+# As the command and the service compile them; in one piece, since each core has a test process already.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_parallel_codegen_split_count=1")
+compile_sooner()
 
 # Traced programs are millions of objects that live long: looking through them again and again is a tenth of
 # the time.

@@ -7,8 +7,9 @@ from fitter.cli.screen import Screen
 
 def start_numerics(screen: Screen) -> None:
     """Import JAX and use the compilation cache; says so where the cache can't be written."""
-    from fitter._jax import default_cache_folder, use_compilation_cache
+    from fitter._jax import compile_sooner, default_cache_folder, use_compilation_cache
 
+    compile_sooner()
     folder = default_cache_folder()
     try:
         use_compilation_cache(folder)

@@ -143,7 +143,7 @@ def test_weights_are_differentiable_everywhere(name, dtype):
         found = model.deltas(model.spec, values, x, y, z)
         return sum(jnp.sum(d.weight) + jnp.sum(d.x + d.y + d.z) + jnp.sum(d.share) for d in found)
 
-    total, slope = jax.value_and_grad(weights)((values, x, y, z))
+    total, slope = jax.jit(jax.value_and_grad(weights))((values, x, y, z))
     assert total.dtype == dtype
     assert np.isfinite(total)
     assert finite(slope)
@@ -154,6 +154,7 @@ def test_weight_slopes_match_differences(name):
     model = models.create(name)
     wi = incidence(35.0)
 
+    @jax.jit
     def reflected(eta):
         other = eqx.tree_at(lambda m: m.values["eta"], model, eta)
         return jnp.sum(other.deltas(other.spec, other.values, *jnp.asarray(wi))[0].weight)
@@ -161,7 +162,7 @@ def test_weight_slopes_match_differences(name):
     step = 1e-5
     eta = jnp.asarray(1.5)
     difference = (reflected(eta + step) - reflected(eta - step)) / (2 * step)
-    np.testing.assert_allclose(jax.grad(reflected)(eta), difference, rtol=1e-7)
+    np.testing.assert_allclose(jax.jit(jax.grad(reflected))(eta), difference, rtol=1e-7)
 
 
 def test_mixes_with_lobes():

@@ -10,7 +10,9 @@ import importlib
 import inspect
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -92,8 +94,13 @@ def gradients(name: str, wi: np.ndarray, wo: np.ndarray, **values: float) -> np.
     def value(v: dict[str, jax.Array], i: jax.Array, o: jax.Array) -> jax.Array:
         return type(model)(spec=model.spec, channels=model.channels, values=v).evaluate(i, o)[0]
 
-    found = jax.grad(value, argnums=(0, 1, 2))(model.values, jnp.asarray(wi), jnp.asarray(wo))
+    found = slope_of(value, argnums=(0, 1, 2))(model.values, jnp.asarray(wi), jnp.asarray(wo))
     return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)])
+
+
+def slope_of(f: Callable[..., jax.Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., Any]:
+    """The derivative as one program: operation by operation each would be compiled for itself."""
+    return jax.jit(jax.grad(f, argnums=argnums))
 
 
 def half32(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
@@ -150,11 +157,11 @@ def test_h04():
         phi, tan2 = jnp.arctan2(h[1], h[0]), (1 - h[2] ** 2) / h[2] ** 2
         return jnp.exp(-tan2 * ((jnp.cos(phi) / 0.1) ** 2 + (jnp.sin(phi) / 0.3) ** 2))
 
-    slope = float(jax.grad(naive)(jnp.asarray(NORMAL))[0])
+    slope = float(slope_of(naive)(jnp.asarray(NORMAL))[0])
     found = gradients("ward:anisotropic", NORMAL, NORMAL, alpha_x=0.1, alpha_y=0.3)
     assert np.isnan(slope)
     assert np.isfinite(found).all()
-    tilt = float(jax.grad(lambda x: models.create("ward:anisotropic").evaluate(
+    tilt = float(slope_of(lambda x: models.create("ward:anisotropic").evaluate(
         jnp.asarray(NORMAL), jnp.stack([x, 0.0, 1.0]))[0])(0.0))  # fmt: skip
     shown("H04", naive=slope, ours=tilt)
 
@@ -212,7 +219,7 @@ def test_h08():
 
 
 def test_h09():
-    slope = float(jax.grad(lambda x: jnp.where(x > 0, x**2.5, 0.0))(-0.7))
+    slope = float(slope_of(lambda x: jnp.where(x > 0, x**2.5, 0.0))(-0.7))
     found = gradients("phong:no_diffuse", direction(1.2), direction(1.2), ks=1.0, n=2.5)
     assert np.isnan(slope)
     np.testing.assert_array_equal(found, 0.0)
@@ -221,7 +228,7 @@ def test_h09():
 
 def test_h10():
     w = np.array([0.5, 0.0, 0.5])  # not of unit length: R(wi).wo is 0 exactly, however it is rounded
-    slope = float(jax.grad(lambda x: jnp.maximum(x, 0.0) ** 0.1)(float(w[2] * w[2] - w[0] * w[0])))
+    slope = float(slope_of(lambda x: jnp.maximum(x, 0.0) ** 0.1)(float(w[2] * w[2] - w[0] * w[0])))
     found = gradients("phong:no_diffuse", w, w, ks=1.0, n=0.1)
     assert np.isinf(slope)
     np.testing.assert_array_equal(found, 0.0)
@@ -252,25 +259,25 @@ def test_h12():
         s_i, s_o = jnp.hypot(i[0], i[1]), jnp.hypot(wo[0], wo[1])
         return jnp.maximum(0.0, jnp.cos(dphi)) * s_i * s_o / jnp.maximum(i[2], wo[2])
 
-    slope = float(jax.grad(naive)(jnp.asarray(NORMAL))[0])
+    slope = float(slope_of(naive)(jnp.asarray(NORMAL))[0])
     found = gradients("oren_nayar", NORMAL, np.asarray(wo), rho=1.0, sigma=0.5)
     assert np.isnan(slope)
     assert np.isfinite(found).all()
     model = models.create("oren_nayar", rho=1.0, sigma=0.5)
-    tilt = float(jax.grad(lambda x: model.evaluate(jnp.stack([x, 0.0, 1.0]), wo)[0])(1e-9))
+    tilt = float(slope_of(lambda x: model.evaluate(jnp.stack([x, 0.0, 1.0]), wo)[0])(1e-9))
     # B sin(theta_o)/pi on the side of wo.
     assert tilt == pytest.approx(0.45 * 0.25 / 0.34 * math.sin(0.7) / math.pi, rel=1e-6)
     shown("H12", naive=slope, ours=tilt)
 
 
 def test_h13():
-    slope = float(jax.grad(lambda z: jnp.arccos(z))(1.0))
+    slope = float(slope_of(lambda z: jnp.arccos(z))(1.0))
     found = gradients("oren_nayar:full", NORMAL, direction(0.7), rho=1.0, sigma=0.5)
     assert np.isinf(slope)
     assert np.isfinite(found).all()
     model = models.create("oren_nayar:full", rho=1.0, sigma=0.5)
     found = float(
-        jax.grad(lambda z: model.evaluate(jnp.stack([0.0, 0.0, z]), jnp.asarray(direction(0.7)))[0])(1.0)
+        slope_of(lambda z: model.evaluate(jnp.stack([0.0, 0.0, z]), jnp.asarray(direction(0.7)))[0])(1.0)
     )
     shown("H13", naive=slope, ours=found)
 
@@ -283,7 +290,7 @@ def test_h14():
         h = h / jnp.linalg.norm(h)
         return jnp.where(o[2] > 0, jnp.exp(-(h[0] ** 2 + h[1] ** 2) / h[2] ** 2), 0.0)
 
-    slope = float(jax.grad(naive)(-wi)[0])
+    slope = float(slope_of(naive)(-wi)[0])
     found = gradients("ward", np.asarray(wi), -np.asarray(wi))
     assert np.isnan(slope)
     np.testing.assert_array_equal(found, 0.0)
@@ -335,7 +342,7 @@ def test_h17():
         c = h[2] / jnp.sqrt(h @ h)
         return jnp.exp(-(1 - c * c) / (c * c) / alpha**2) / (math.pi * alpha**2 * c**4)
 
-    slope = float(jax.grad(naive)(jnp.asarray(wo))[2])
+    slope = float(slope_of(naive)(jnp.asarray(wo))[2])
     found = gradients("torrance_sparrow:none:no_diffuse", wi, wo, ks=1.0, alpha=alpha)
     assert np.isnan(slope)
     np.testing.assert_array_equal(found, 0.0)
@@ -367,12 +374,12 @@ def test_h19():
         lam = (jax.scipy.special.erf(a) - 1) / 2 + jnp.exp(-a * a) / (2 * a * math.sqrt(math.pi))
         return 1 / (1 + lam)
 
-    slope = float(jax.grad(naive)(0.0))
+    slope = float(slope_of(naive)(0.0))
     found = gradients("torrance_sparrow:smith", NORMAL, direction(0.7), alpha=0.3)
     assert np.isnan(slope)
     assert np.isfinite(found).all()
     model = ndf.Beckmann(Isotropic(jnp.asarray(0.3)))
-    tilt = float(jax.grad(lambda x: model.lambda_cos(x, jnp.asarray(0.0), jnp.asarray(1.0)))(0.0))
+    tilt = float(slope_of(lambda x: model.lambda_cos(x, jnp.asarray(0.0), jnp.asarray(1.0)))(0.0))
     assert tilt == 0.0
     shown("H19", naive=slope, ours=tilt)
 
@@ -396,7 +403,7 @@ def test_h21():
         a = 1 / (0.3 * jnp.abs(x))
         return jnp.where(a < 1.6, (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a), 1.0)
 
-    slope = float(jax.grad(naive)(0.0))
+    slope = float(slope_of(naive)(0.0))
     found = gradients("torrance_sparrow:rational:none:no_diffuse", NORMAL, NORMAL, ks=1.0, alpha=0.3)
     assert np.isnan(slope)
     assert np.isfinite(found).all()
@@ -438,8 +445,8 @@ def test_h24():
         return jnp.where(g2 > 0, ((c - g) / (c + g)) ** 2, 1.0)
 
     point = (jnp.asarray(0.5), jnp.asarray(1 / 1.5))
-    slope = float(jax.grad(naive)(*point))
-    found = [float(x) for x in jax.grad(fresnel.dielectric, argnums=(0, 1))(*point)]
+    slope = float(slope_of(naive)(*point))
+    found = [float(x) for x in slope_of(fresnel.dielectric, argnums=(0, 1))(*point)]
     assert np.isnan(slope)
     assert found == [0.0, 0.0]
     shown("H24", naive=slope, ours=found[0])
@@ -494,7 +501,7 @@ def test_h28():
     def naive(h: jax.Array) -> jax.Array:
         return h[2] ** ((nu * h[0] ** 2 + nv * h[1] ** 2) / (1 - h[2] ** 2))
 
-    slope = float(jax.grad(naive)(jnp.asarray(NORMAL))[0])
+    slope = float(slope_of(naive)(jnp.asarray(NORMAL))[0])
     values = {"rd": 0.0, "rs": 1.0, "nu": nu, "nv": nv, "psi": 0.0}
     found = ours("ashikhmin_shirley", NORMAL, NORMAL, **values)
     slopes = gradients("ashikhmin_shirley", NORMAL, NORMAL, **values)
@@ -502,7 +509,7 @@ def test_h28():
     assert found == pytest.approx(math.sqrt((nu + 1) * (nv + 1)) / (8 * math.pi), rel=1e-13)
     assert np.isfinite(slopes).all()
     model = models.create("ashikhmin_shirley", **values)
-    tilt = float(jax.grad(lambda x: model.evaluate(jnp.asarray(NORMAL), jnp.stack([x, 0.0, 1.0]))[0])(0.0))
+    tilt = float(slope_of(lambda x: model.evaluate(jnp.asarray(NORMAL), jnp.stack([x, 0.0, 1.0]))[0])(0.0))
     assert tilt == pytest.approx(0.0, abs=1e-12)
     shown("H28", naive=slope, ours=0.0)
 
@@ -749,7 +756,7 @@ def test_h45():
     wi, wo = stored(grazing(1e-6, 0.4), grazing(1e-6, 0.4 - math.pi))
     alpha = np.float32(1e-4)
 
-    @jax.grad
+    @slope_of
     def naive_slope(z):
         hx, hy, hz = wi[0] + wo[0], wi[1] + wo[1], z + wo[2]
         t2 = (hx * hx + hy * hy) / (alpha * hz) ** 2
@@ -760,7 +767,7 @@ def test_h45():
     model = models.create("ward:bounded:no_diffuse", ks=1.0, alpha=1e-4)
     model = jax.tree.map(lambda leaf: leaf.astype(np.float32), model)
 
-    @jax.grad
+    @slope_of
     def slope(z):
         return model.evaluate(jnp.asarray(wi).at[2].set(z), wo)[0]
 

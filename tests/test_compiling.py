@@ -1,0 +1,32 @@
+"""How XLA is asked to compile: what a person has said stands, and only releases that know the flag get it."""
+
+from __future__ import annotations
+
+import os
+
+import jax
+import pytest
+
+from fitter._jax import compile_sooner
+
+FLAG = "--xla_cpu_use_fusion_emitters=false"
+
+
+@pytest.mark.parametrize(
+    ("said", "release", "expected"),
+    [
+        (None, (0, 10, 2), FLAG),
+        ("--xla_cpu_enable_fast_math=false", (0, 10, 0), f"--xla_cpu_enable_fast_math=false {FLAG}"),
+        ("--xla_cpu_use_fusion_emitters=true", (0, 10, 2), "--xla_cpu_use_fusion_emitters=true"),
+        (None, (0, 11, 0), None),
+    ],
+)
+def test_flags(
+    monkeypatch: pytest.MonkeyPatch, said: str | None, release: tuple[int, ...], expected: str | None
+) -> None:
+    monkeypatch.setattr(jax, "__version_info__", release)
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    if said is not None:
+        monkeypatch.setenv("XLA_FLAGS", said)
+    compile_sooner()
+    assert os.environ.get("XLA_FLAGS") == expected
