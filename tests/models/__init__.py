@@ -80,8 +80,8 @@ MODELS = tuple(
 )  # fmt: skip
 
 #: Those of them that still show each value of each option but additive diffuse terms, and the sums: what the
-#: suite draws from and differentiates, which takes longest to compile. The long study (tests/evidence) does so
-#: with all.
+#: suite draws from and differentiates, which takes longest to compile. The long study (tests/evidence) takes
+#: them all.
 FEWER = tuple(
     dict.fromkeys(
         [
