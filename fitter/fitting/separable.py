@@ -156,6 +156,7 @@ def _solve_some(
         u, objective, b = one(starts[k])
         return ends[0].at[k].set(u), ends[1].at[k].set(objective), ends[2].at[k].set(b)
 
-    shapes = jax.eval_shape(one, starts[0])
-    empty = tuple(jnp.zeros((len(starts), *shape.shape), shape.dtype) for shape in shapes)
-    return jax.lax.fori_loop(0, count, step, (empty[0], empty[1], empty[2]))
+    # Not the shapes of one(): that traces the solver once more.
+    shape = jax.eval_shape(lambda u: inner(layout, u, pair, y, weight), starts[0])
+    b = jnp.zeros((len(starts), *shape.shape), shape.dtype)
+    return jax.lax.fori_loop(0, count, step, (jnp.zeros_like(starts), jnp.zeros(len(starts), b.dtype), b))

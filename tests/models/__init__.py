@@ -52,7 +52,9 @@ def _covers(spec: ModelSpec, meeting: bool) -> set[tuple[tuple[str, object], ...
     single = {((name, getattr(spec, name)),) for name in names}
     pairs = [(a, b) for a, b in PAIRS if a in names and b in names] if meeting else []
     if "coupled" not in options.diffuse:
-        pairs = [pair for pair in pairs if "diffuse" not in pair]  # an additive term meets nothing
+        # An additive term meets nothing, and is Lambert's own model by itself.
+        pairs = [pair for pair in pairs if "diffuse" not in pair]
+        single = single if meeting else {one for one in single if one[0][0] != "diffuse"}
     return single | {((a, getattr(spec, a)), (b, getattr(spec, b))) for a, b in pairs}
 
 
@@ -77,8 +79,9 @@ MODELS = tuple(
     dict.fromkeys([*(name for family in OPTIONS for name in covering(family)), *COMPOSITES])
 )  # fmt: skip
 
-#: Those of them that still show each value of each option, and the sums: what the suite draws from and
-#: differentiates, which takes longest to compile. The long study (tests/evidence) does so with all.
+#: Those of them that still show each value of each option but additive diffuse terms, and the sums: what the
+#: suite draws from and differentiates, which takes longest to compile. The long study (tests/evidence) takes
+#: them all.
 FEWER = tuple(
     dict.fromkeys(
         [
