@@ -2,10 +2,10 @@
 
 Residuals over a scale that grows with the value, sqrt((r f)^2 + e^2), are a Gaussian process over directions
 (C. Rasmussen, C. Williams, "Gaussian Processes for Machine Learning", 2006, ch. 2): Matern 3/2 and
-independent noise, its numbers by maximum likelihood. Near measured directions the misfit is known, and the
-band narrows; far from them it is as wide as misfits are. Parameter uncertainty (the robust one) is added.
-
-The band is centred on the model, with the quantile of |N(m, s)|, m and s the process's mean and deviation.
+independent noise, its numbers by maximum likelihood. What the parameters' uncertainty (the robust one) does
+to the values is a part of the same process, linear in them: where there are measurements they know better.
+Near measured directions the misfit is known, and the band follows it, away from the model's own curve; far
+from them it is as wide as misfits are.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ class Process:
     """The residuals of one channel.
 
     relative, floor : of the scale. reach, share : of the correlation, the rest being independent noise.
-    size : standard deviation of the scaled residuals. at : (n, 4) features that it is conditioned on.
-    factor, weights : Cholesky factor of the correlations there and its solution for the scaled residuals.
+    size : standard deviation of the scaled residuals. at : (n, 4) features that it is conditioned on, and
+    slopes : (n, Q) what the parameters' principal directions do to the scaled values there.
+    factor, weights : Cholesky factor of the covariances there and its solution for the scaled residuals.
     """
 
     relative: float
@@ -61,18 +62,21 @@ class Process:
     share: float
     size: float
     at: FloatArray
+    slopes: FloatArray
     factor: FloatArray
     weights: FloatArray
 
     def scale(self, f: FloatArray) -> FloatArray:
         return np.hypot(self.relative * f, self.floor)
 
-    def at_new(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at_new(self, at: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (m,) of scaled residuals of new measurements at features (m, 4)."""
-        cross = self.share * matern(_distances(at, self.at) / self.reach)
+        field = self.size**2 * self.share * matern(_distances(at, self.at) / self.reach)
+        cross = field + slopes @ self.slopes.T
         half = linalg.solve_triangular(self.factor, cross.T, lower=True)
-        left = np.maximum(1.0 - np.square(half).sum(axis=0), 1.0 - self.share)
-        return cross @ self.weights, self.size * np.sqrt(left)
+        whole = self.size**2 + np.square(slopes).sum(axis=1)
+        left = np.maximum(whole - np.square(half).sum(axis=0), self.size**2 * (1.0 - self.share + JITTER))
+        return cross @ self.weights, np.sqrt(left)
 
 
 @dataclass(frozen=True)
@@ -92,43 +96,37 @@ class Predictive:
         It promises nothing outside the measured domain: a misfit that was never seen is not in it.
         """
         wi, wo = (np.atleast_2d(np.asarray(w, np.float64)) for w in (wi, wo))
-        f = evaluated(self.template, wi, wo)
-        by_parameters = self._by_parameters(wi, wo)
-        at = features(wi, wo)
+        f, at = evaluated(self.template, wi, wo), features(wi, wo)
+        moved = slopes(self.template, self.labels, self.covariance, wi, wo)
+        tail = float(special.ndtri(0.5 + 0.5 * level))
         lower, upper = np.empty_like(f), np.empty_like(f)
         for c, process in enumerate(self.processes):
             scale = process.scale(f[:, c])
-            mean, deviation = process.at_new(at)
-            spread = np.hypot(deviation, by_parameters[:, c] / scale)
-            half = scale * folded_quantile(mean, spread, level)
-            lower[:, c], upper[:, c] = f[:, c] - half, f[:, c] + half
+            mean, deviation = process.at_new(at, moved[:, :, c] / scale[:, None])
+            centre, half = f[:, c] + scale * mean, tail * scale * deviation
+            lower[:, c], upper[:, c] = centre - half, centre + half
         return lower, upper
 
-    def _by_parameters(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
-        """(M, C) standard uncertainty of the model's values by that of its parameters."""
-        known = np.flatnonzero(np.isfinite(np.diagonal(self.covariance)))
-        total = np.zeros((len(wi), len(self.template.channels)))
-        if not len(known):
-            return total
-        values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance[np.ix_(known, known)]))
-        # One derivative for each principal direction of what is not known.
-        for value, along in zip(values, vectors.T, strict=True):
-            if value > 0:
-                total += value * np.square(self._derivative(known, along, wi, wo))
-        return np.sqrt(total)
 
-    def _derivative(
-        self, known: NDArray[np.intp], along: FloatArray, wi: FloatArray, wo: FloatArray
-    ) -> FloatArray:
-        tangent = {name: np.zeros_like(np.asarray(v)) for name, v in self.template.values.items()}
-        for k, amount in zip(known, along, strict=True):
-            name, _, channel = self.labels[k].partition("[")
-            where = self.template.channels.index(channel[:-1]) if channel else ()
-            tangent[name][where] = amount
-        n = len(wi)
-        padding = ((0, padded(n) - n), (0, 0))
-        more = (jnp.pad(jnp.asarray(w), padding, mode="edge") for w in (wi, wo))
-        return np.asarray(_along(self.template, {k: jnp.asarray(v) for k, v in tangent.items()}, *more))[:n]
+def slopes(
+    model: models.ReflectanceModel, labels: Sequence[str], covariance: FloatArray, wi: FloatArray,
+    wo: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(M, Q, C) what one standard deviation of the parameters ``labels`` along each principal direction of
+    their covariance does to the values of a model; Q = 0 where none has a stated uncertainty."""
+    known = np.flatnonzero(np.isfinite(np.diagonal(covariance)))
+    values, vectors = np.linalg.eigh(np.nan_to_num(covariance[np.ix_(known, known)]))
+    n = len(wi)
+    padding = ((0, padded(n) - n), (0, 0))
+    wide = [jnp.pad(jnp.asarray(w), padding, mode="edge") for w in (wi, wo)]
+    found = np.zeros((n, len(known), len(model.channels)))
+    for k, (value, along) in enumerate(zip(values, vectors.T, strict=True)):
+        tangent = {name: np.zeros_like(np.asarray(v)) for name, v in model.values.items()}
+        for position, amount in zip(known.tolist(), along * np.sqrt(max(float(value), 0.0)), strict=True):
+            name, _, channel = labels[position].partition("[")
+            tangent[name][model.channels.index(channel[:-1]) if channel else ()] = amount
+        found[:, k] = np.asarray(_along(model, {k: jnp.asarray(v) for k, v in tangent.items()}, *wide))[:n]
+    return found
 
 
 @eqx.filter_jit
@@ -161,11 +159,14 @@ def predictive(
     wi, wo = pair[:3].T, pair[3:].T
     residual = whole.value[data.index[order]][:, list(data.channels)] - evaluated(fit.model, wi, wo)
     f, at = evaluated(fit.model, wi, wo), features(wi, wo)
+    covariance = fit.covariance if robust is None else robust.covariance
+    few = slice(CONDITIONED_ON)
+    moved = slopes(fit.model, fit.labels, covariance, wi[few], wo[few])
     return Predictive(
         template=fit.model,
         labels=fit.labels,
-        covariance=fit.covariance if robust is None else robust.covariance,
-        processes=_processes(residual, f, at),
+        covariance=covariance,
+        processes=_processes(residual, f, at, moved),
         seed=seed,
     )
 
@@ -177,20 +178,9 @@ def features(wi: FloatArray, wo: FloatArray) -> FloatArray:
     return np.stack([2.0 * np.sqrt(theta_h), theta_d, theta_i, theta_o], axis=1)
 
 
-def folded_quantile(mean: FloatArray, deviation: FloatArray, level: float) -> FloatArray:
-    """q (m,) such that normals with these means and deviations lie within -q to q with a probability."""
-    size, tail = np.abs(mean), special.ndtri(0.5 + 0.5 * level)
-    low, high = special.ndtri(level) * deviation + size, tail * deviation + size
-    low = np.minimum(low, tail * deviation)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        inside = special.ndtr((middle - size) / deviation) - special.ndtr((-middle - size) / deviation)
-        low, high = np.where(inside < level, middle, low), np.where(inside < level, high, middle)
-    return 0.5 * (low + high)
-
-
-def _processes(residual: FloatArray, f: FloatArray, at: FloatArray) -> list[Process]:
-    """Scale, correlation and conditioning of each channel of residuals (n, C), in random order."""
+def _processes(residual: FloatArray, f: FloatArray, at: FloatArray, moved: FloatArray) -> list[Process]:
+    """Scale, correlation and conditioning of each channel of residuals (n, C), in random order, the first of
+    them with what the parameters do (m, Q, C)."""
     scales = [_scale(r, value) for r, value in zip(residual.T, f.T, strict=True)]
     z = residual / np.stack([np.hypot(r * f[:, c], e) for c, (r, e) in enumerate(scales)], axis=1)
     few, used = min(ESTIMATED_FROM, len(z)), min(CONDITIONED_ON, len(z))
@@ -201,10 +191,12 @@ def _processes(residual: FloatArray, f: FloatArray, at: FloatArray) -> list[Proc
     for c, ((relative, floor), (reach, share)) in enumerate(zip(scales, correlations, strict=True)):
         short = reach * SHORTENED
         matrix = share * matern(distance / short) + (1.0 - share + JITTER) * np.eye(used)
-        factor = np.asarray(np.linalg.cholesky(matrix), np.float64)
+        half = linalg.solve_triangular(np.linalg.cholesky(matrix), z[:, c], lower=True)
+        size = float(np.sqrt(max(float(half @ half), 1e-300) / used))
+        own = moved[:, :, c] / np.hypot(relative * f[:used, c], floor)[:, None]
+        factor = np.asarray(np.linalg.cholesky(size**2 * matrix + own @ own.T), np.float64)
         weights = linalg.cho_solve((factor, True), z[:, c])
-        size = float(np.sqrt(max(float(z[:, c] @ weights), 1e-300) / used))
-        found.append(Process(relative, floor, short, share, size, at, factor, weights))
+        found.append(Process(relative, floor, short, share, size, at, own, factor, weights))
     return found
 
 
