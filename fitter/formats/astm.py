@@ -189,7 +189,8 @@ def _rows(source: Source, head: _Head) -> Rows:
     stated = head.keys.get("NUM_POINTS", "")
     if not stated.isdecimal():
         raise source.error(
-            f"NUM_POINTS is {stated[:40]!r}, not a count", "table-header", row=head.rows_of.get("NUM_POINTS"),
+            f"NUM_POINTS is {stated[:40]!r}, not a count", "table-header",
+            row=head.rows_of.get("NUM_POINTS", head.end), column="NUM_POINTS",
             cause="a damaged header", remedy="write NUM_POINTS and the number of rows before VARS",
         )  # fmt: skip
     rows = Rows(

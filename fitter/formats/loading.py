@@ -179,7 +179,8 @@ def _sources(
 
 
 def _members(archive: Source) -> Iterator[tuple[str, Source]]:
-    """(folder inside the archive, file) of every file in it."""
+    """(folder inside the archive, file) of every file in it. Errors name the member as their column."""
+    where: dict[str, Any] = {}
     try:
         with zipfile.ZipFile(BytesIO(archive.data)) as content:
             wanted = [
@@ -195,6 +196,7 @@ def _members(archive: Source) -> Iterator[tuple[str, Source]]:
             for member in wanted:
                 # read() stops at the size the directory claims, which is bounded above.
                 path = Path(member.filename)
+                where = {"column": member.filename[:80], "offset": member.header_offset}
                 yield str(path.parent), Source(content.read(member), path.name)
     except (
         zipfile.BadZipFile,
@@ -206,11 +208,11 @@ def _members(archive: Source) -> Iterator[tuple[str, Source]]:
         OverflowError,
     ) as error:
         raise archive.error(
-            f"the zip archive is damaged: {error}", "archive-damaged", remedy="fetch the file again"
+            f"the zip archive is damaged: {error}", "archive-damaged", **where, remedy="fetch the file again"
         ) from error
     except (RuntimeError, NotImplementedError) as error:
         raise archive.error(
-            f"the zip archive can't be unpacked: {error}", "archive-damaged",
+            f"the zip archive can't be unpacked: {error}", "archive-damaged", **where,
             cause="a password or an unusual compression", remedy="unpack it and load the folder",
         ) from error  # fmt: skip
 

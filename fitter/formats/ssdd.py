@@ -217,7 +217,7 @@ def _data(source: Source, data: bytes, cursor: _Cursor, block: _Block, mode: str
             return values.reshape(count, width)
     raise source.error(
         f"the values of the block don't fit {count} x {width} binary numbers", "table-truncated",
-        row=cursor.row, **cut,
+        row=cursor.row, offset=cursor.at, **cut,
     )  # fmt: skip
 
 

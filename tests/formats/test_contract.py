@@ -180,6 +180,11 @@ def test_fuzz(sample: Sample):
     assert good
     assert broken
     assert all(error.code and error.file == "fuzz.dat" and str(error) for error in broken)
+    # Where in the file, too, unless it is all of it.
+    unplaced = {error.code for error in broken if set(error.where()) == {"file"}}
+    assert unplaced <= {"table-empty", "table-nothing-usable"}
+    # A piece that was doubled makes the file twice as long at most.
+    assert all(0 <= error.offset <= 2 * len(sample.data) for error in broken if error.offset is not None)
 
 
 class TestSeveral:
