@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class FitterError(Exception):
     """Base of every error this library raises on purpose.
@@ -79,6 +82,21 @@ def _rebuild(kind: type[FitterError], message: str, state: dict[str, object]) ->
 
 class TableError(FitterError):
     """A file or table that can't be used as it is (exit status 2, HTTP 4xx)."""
+
+
+class NoTable(TableError):
+    """A file that was understood and holds no BRDF, as one of transmission.
+
+    contents : what it holds instead, JSON-ready: ``holds`` says it in words, the rest is the format's.
+    """
+
+    def __init__(self, message: str, *, code: str, contents: Mapping[str, Any], **where: Any) -> None:
+        self.contents = contents
+        super().__init__(message, code=code, **where)
+
+    def to_dict(self) -> dict[str, object]:
+        """As of any error, and the contents."""
+        return {**super().to_dict(), "contents": dict(self.contents)}
 
 
 class SpecError(FitterError):

@@ -43,9 +43,10 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     data = source.buffer
     lines, at = _lines(source, len(MAGIC))
     if lines and lines[-1] == _TRANSMISSION:
-        raise source.error(
-            "the file holds transmission only", "table-transmission", column="MBSDF_DATA_TRANSMISSION",
-            offset=at, remedy="use the file of the same sample's reflection",
+        raise source.no_table(
+            "the file holds transmission only", "table-transmission", "transmission",
+            column="MBSDF_DATA_TRANSMISSION", offset=at,
+            remedy="use the file of the same sample's reflection",
         )  # fmt: skip
     (channels, theta, phi), end = _block(source, at)
     rest = bytes(data[end : end + len(_TRANSMISSION) + 1])

@@ -99,9 +99,9 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     if found is None:
-        raise source.error(
-            f"the file holds {', '.join(skipped)} and no brdf", "table-transmission", column="DATA_TYPE",
-            remedy="use the file of the same sample's reflection",
+        raise source.no_table(
+            f"the file holds {', '.join(skipped)} and no brdf", "table-transmission", ", ".join(skipped),
+            column="DATA_TYPE", remedy="use the file of the same sample's reflection",
         )  # fmt: skip
     return [_table(source, options, head, *found, skipped)]
 

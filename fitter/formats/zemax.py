@@ -114,9 +114,9 @@ def _head(tokens: Tokens) -> _Head:
         if key in _WORDS:
             head.words[key] = tokens.chosen(key, _WORDS[key])
             if head.words[key] == "BTDF":
-                raise tokens.error(
-                    "the file holds transmission (BTDF)", "table-transmission", column=key,
-                    remedy="use the file of the same sample's reflection (BRDF)",
+                raise tokens.source.no_table(
+                    "the file holds transmission (BTDF)", "table-transmission", "transmission",
+                    row=tokens.row, column=key, remedy="use the file of the same sample's reflection (BRDF)",
                 )  # fmt: skip
         elif key in _LISTS:
             head.lists[key] = tokens.angles(key, _LISTS[key])
