@@ -32,7 +32,7 @@ def describe(table: Table) -> dict[str, Any]:
             {
                 "name": channel.name,
                 "wavelength_nm": channel.wavelength_nm,
-                "min_per_sr": float(column.min()),
+                "min_per_sr": float(column.min()) + 0.0,  # -0 is 0
                 "median_per_sr": float(np.median(column)),
                 "max_per_sr": float(column.max()),
             }
