@@ -62,9 +62,11 @@ def assemble(
     reading: Reading,
     geometry: Geometry,
     grid: tuple[Grid, NDArray[np.intp]] | None = None,
+    copy: bool = True,
 ) -> Table:
     """The Table of a reading: values converted to f_r, rows put in the grid's order where there is one.
 
+    copy : False where the directions of ``geometry`` are this table's alone.
     Raises TableError, with the file's name, where nothing is usable.
     """
     notes = [*reading.notes, *geometry.notes]
@@ -85,7 +87,8 @@ def assemble(
         fills = found.rows if found.rows.any() else None
         notes += found.notes
     kept = np.ones(len(value), bool) if reading.usable is None else reading.usable
-    zeros = int(np.count_nonzero(value[kept if fills is None else kept & ~fills] == 0))
+    kept = kept if fills is None else kept & ~fills
+    zeros = sum(int(np.count_nonzero((column == 0) & kept)) for column in value.T)
     if zeros:
         notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
     if reading.text and not source.ends_in_newline:
@@ -105,7 +108,8 @@ def assemble(
     directions = {} if grid is not None else {"wi": geometry.wi, "wo": geometry.wo}
     return build(
         source, options, reading, geometry.convention, notes, value=value, sigma=sigma, mask=usable,
-        fills=fills, grid=None if grid is None else grid[0], symmetric=geometry.symmetric, **directions,
+        fills=fills, grid=None if grid is None else grid[0], symmetric=geometry.symmetric, copy=copy,
+        **directions,
     )  # fmt: skip
 
 

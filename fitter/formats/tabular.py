@@ -225,7 +225,7 @@ def _table(
         )  # fmt: skip
         angles.clear()
     grid = _grid(source, head, geometry, symmetry)
-    return assemble(source, options, reading, replace(geometry, coordinates={}), grid)
+    return assemble(source, options, reading, replace(geometry, coordinates={}), grid, copy=False)
 
 
 def _grid(source: Source, head: Head, geometry: geo.Geometry, symmetry: Symmetry | None) -> Any:
