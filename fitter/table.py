@@ -40,6 +40,7 @@ class Metadata:
     """Where a table comes from and what was done to it on reading. Everything here is JSON-ready.
 
     ``quantity`` is what the *file* held; :attr:`Table.value` is always f_r in 1/sr without the cosine.
+    ``angle_unit`` is the file's, "deg" or "rad", "" where it holds no angles; here they are always radians.
     ``scale_uncertainty`` is relative and common to the whole table, ``angle_uncertainty`` and
     ``aperture`` (receiver, full angle) are in radians; each is standard (k = 1), None where not stated.
     ``masked`` counts the samples masked by each reason. ``notes`` are sentences a person should read.
@@ -49,6 +50,7 @@ class Metadata:
     source_format: str = "arrays"
     quantity: Quantity = "brdf"
     convention: str = ""
+    angle_unit: str = ""
     sha256: Sha256 = DigestField()  # noqa: RUF009  # reads as str; a file's may still be on its way
     scale_uncertainty: float | None = None
     angle_uncertainty: float | None = None

@@ -80,6 +80,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     reading = Reading(
         NAME, quantity, np.ascontiguousarray(numbers[:, inputs:]), channels,
         name=keys.get("SAMPLE", "").strip('"'), provenance=dict(keys), notes=tuple(notes), text=start is None,
+        angle_unit="" if how == "CARTESIAN" else "rad",
     )  # fmt: skip
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 

@@ -36,6 +36,7 @@ class Reading:
 
     value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None. filled : (n,) what the
     format itself marks as fill values, or None.
+    angle_unit : of the file's angles, "deg" or "rad"; "" where it holds none.
     statements : what the file says beside the samples (scale_uncertainty, aperture, ...; radians).
     text : whether the file is text, of which an open last line may mean that it is cut off.
     """
@@ -50,6 +51,7 @@ class Reading:
     symmetry: Symmetry | None = None
     name: str = ""
     item: str | None = None
+    angle_unit: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     statements: Mapping[str, float] = field(default_factory=dict[str, float])
     notes: tuple[str, ...] = ()
@@ -133,7 +135,8 @@ def build(
     metadata = Metadata(
         name=f"{name} [{reading.item}]" if reading.item is not None else name,
         source_format=reading.source_format, quantity=reading.quantity, convention=convention,
-        sha256=source.digest, scale_uncertainty=reading.statements.get("scale_uncertainty"),
+        angle_unit=reading.angle_unit, sha256=source.digest,
+        scale_uncertainty=reading.statements.get("scale_uncertainty"),
         angle_uncertainty=reading.statements.get("angle_uncertainty"),
         aperture=reading.statements.get("aperture"), provenance=provenance, notes=tuple(notes),
     )  # fmt: skip

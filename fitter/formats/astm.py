@@ -61,6 +61,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     reading = Reading(
         NAME, quantity, np.stack([numbers[k] for k in values], axis=1), channels,
         name=head.keys.get("SAMPLE_NAME", ""), provenance=dict(head.keys), notes=tuple(notes),
+        angle_unit="rad",
     )  # fmt: skip
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 

@@ -24,6 +24,7 @@ def describe(table: Table) -> dict[str, Any]:
         "format": meta.source_format,
         "quantity": meta.quantity,
         "convention": meta.convention,
+        "angle_unit": meta.angle_unit,
         "symmetry": table.symmetry,
         "samples": len(table),
         "usable": int(table.mask.sum()),

@@ -97,7 +97,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     notes.append("The form is that of a transmission file (.ddt) too: nothing in it tells them apart.")
     stacked = np.stack(values, axis=-1)
     reading = Reading(
-        NAME, quantity, stacked.reshape(-1, len(channels)), channels,
+        NAME, quantity, stacked.reshape(-1, len(channels)), channels, angle_unit="deg",
         filled=trailing_zeros(stacked, -2).reshape(-1),
         symmetry="isotropic" if len(psi) == 1 else "anisotropic",
         provenance={**head.words, "comments": tokens.comments, "kbdf": factors}, notes=tuple(notes),

@@ -170,6 +170,7 @@ def _table(
     )  # fmt: skip
     reading = Reading(
         NAME, quantity, values, channels, symmetry="isotropic", item=item, provenance=dict(words),
+        angle_unit="deg",
         notes=(
             "The light of an isotropic LightTools file is at azimuth 90 deg.", *notes, *against,
             *([TRISTIMULUS] if xyz else []),

@@ -220,6 +220,7 @@ def _table(group: Sequence[_Part], options: ReadOptions, item: str | None) -> Ta
     reading = Reading(
         NAME, quantity, np.concatenate([part.values for part in group]), channels, name=first.name,
         item=item, provenance=dict(first.keys) if len(group) == 1 else {}, notes=tuple(notes),
+        angle_unit="deg",
     )  # fmt: skip
     table = assemble(first.source, options, reading, geometry, geo.find_grid(geometry))
     if len(group) == 1:

@@ -63,7 +63,7 @@ def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometr
         NAME, quantity, values, channels, usable=_measured(source, found, adaptive, len(values)),
         symmetry="isotropic" if adaptive.isotropic else "anisotropic", name=stated[:_LONGEST_NAME],
         provenance={"description": stated, "shape": list(adaptive.data.shape)}, notes=tuple(notes),
-        text=False,
+        text=False, angle_unit="rad",
     )  # fmt: skip
     return reading, geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic)
 

@@ -267,7 +267,7 @@ def _table(
         notes.append(TRISTIMULUS)
     reading = Reading(
         NAME, quantity, values, block.channels, symmetry="isotropic" if isotropic else "anisotropic",
-        name=block.keys.get("NAME", ""), notes=(*notes, *against),
+        name=block.keys.get("NAME", ""), notes=(*notes, *against), angle_unit="deg",
         provenance={**head, **{k: t for k, t in block.keys.items() if not k.endswith("LIST")}},
     )  # fmt: skip
     return assemble(source, options, reading, geometry, geo.find_grid(geometry))

@@ -93,7 +93,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         if wavelength is not None:
             notes.append(f"The wavelength, {wavelength:g} nm, is from the comments.")
     reading = Reading(
-        NAME, quantity, values.reshape(-1, len(wanted)), channels,
+        NAME, quantity, values.reshape(-1, len(wanted)), channels, angle_unit="deg",
         filled=trailing_zeros(values, -2).reshape(-1),
         symmetry="isotropic" if len(rotation) == 1 else "anisotropic",
         provenance={**head.words, "comments": [c for c in tokens.comments if c.strip("=- ")], "TIS": tis},
