@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from fitter.parts import in_parts
+
 Vectors = Float[np.ndarray, "*n 3"]
 Angles = Float[np.ndarray, "*n"]
 #: Components whose shapes broadcast.
@@ -19,9 +21,16 @@ Parts = Float[np.ndarray, "..."]
 
 def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
     """Unit vector at polar angle ``theta`` from the normal and azimuth ``phi`` from +x (radians)."""
-    x, y, z = spherical_components(theta, phi)
-    w = np.empty((*np.broadcast_shapes(x.shape, z.shape), 3))
-    w[..., 0], w[..., 1], w[..., 2] = x, y, z
+    theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
+    w = np.empty((*theta.shape, 3))
+    if theta.ndim != 1:
+        w[..., 0], w[..., 1], w[..., 2] = spherical_components(theta, phi)
+        return w
+
+    def fill(part: slice) -> None:
+        w[part, 0], w[part, 1], w[part, 2] = spherical_components(theta[part], phi[part])
+
+    in_parts(fill, len(w))
     return w
 
 

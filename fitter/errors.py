@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class FitterError(Exception):
     """Base of every error this library raises on purpose.
@@ -10,7 +13,8 @@ class FitterError(Exception):
     ----------
     message : what happened, one sentence.
     code : a stable slug (``table-empty``), the last part of the problem document's ``type``.
-    file, row, column, parameter : where. ``row`` counts from 1 as an editor does.
+    file, row, column, offset, parameter : where. ``row`` counts from 1 as an editor does; ``column`` is a
+        field, variable or header line, too; ``offset`` is a byte of a binary file, from 0.
     cause, remedy : the likely cause and what to do about it, one sentence each.
     """
 
@@ -22,6 +26,7 @@ class FitterError(Exception):
         file: str | None = None,
         row: int | None = None,
         column: str | None = None,
+        offset: int | None = None,
         parameter: str | None = None,
         cause: str | None = None,
         remedy: str | None = None,
@@ -31,6 +36,7 @@ class FitterError(Exception):
         self.file = file
         self.row = row
         self.column = column
+        self.offset = offset
         self.parameter = parameter
         self.cause = cause
         self.remedy = remedy
@@ -39,7 +45,8 @@ class FitterError(Exception):
     def where(self) -> dict[str, str | int]:
         """The place, as a JSON-ready mapping that holds only what is known."""
         place: dict[str, str | int | None] = {
-            "file": self.file, "row": self.row, "column": self.column, "parameter": self.parameter,
+            "file": self.file, "row": self.row, "column": self.column, "offset": self.offset,
+            "parameter": self.parameter,
         }  # fmt: skip
         return {key: item for key, item in place.items() if item is not None}
 
@@ -75,6 +82,21 @@ def _rebuild(kind: type[FitterError], message: str, state: dict[str, object]) ->
 
 class TableError(FitterError):
     """A file or table that can't be used as it is (exit status 2, HTTP 4xx)."""
+
+
+class NoTable(TableError):
+    """A file that was understood and holds no BRDF, as one of transmission.
+
+    contents : what it holds instead, JSON-ready: ``holds`` says it in words, the rest is the format's.
+    """
+
+    def __init__(self, message: str, *, code: str, contents: Mapping[str, Any], **where: Any) -> None:
+        self.contents = contents
+        super().__init__(message, code=code, **where)
+
+    def to_dict(self) -> dict[str, object]:
+        """As of any error, and the contents."""
+        return {**super().to_dict(), "contents": dict(self.contents)}
 
 
 class SpecError(FitterError):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.parts import in_parts
+
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 KeyArray = NDArray[np.uint64]
@@ -14,7 +16,6 @@ STEP = 1e-6
 
 # A unit vector's components are at most 1 000 001 steps; above lie NaN and the infinities. 3 x 21 bits.
 _NAN, _INFINITE, _LEVELS = 1_000_010, 1_000_011, 1 << 21
-_PART = 1 << 15
 
 
 def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
@@ -37,19 +38,29 @@ def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
 
 def _mixed(first: KeyArray, second: KeyArray) -> KeyArray:
     """One number for both, nearly always another for another pair: multiples of large odd numbers."""
-    return first * np.uint64(0x9E3779B97F4A7C15) + second * np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed = np.empty_like(first)
+
+    def mix(part: slice) -> None:
+        mixed[part] = first[part] * np.uint64(0x9E3779B97F4A7C15)
+        mixed[part] += second[part] * np.uint64(0xC2B2AE3D27D4EB4F)
+
+    in_parts(mix, len(mixed))
+    return mixed
 
 
 def _packed(w: FloatArray) -> KeyArray:
     """(N,) the three components of each row in steps, as one number."""
     keys = np.zeros(len(w), np.uint64)
-    for start in range(0, len(w), _PART):
-        part = keys[start : start + _PART]
+
+    def pack(rows: slice) -> None:
+        part = keys[rows]
         for k in range(3):
-            step = np.rint(w[start : start + _PART, k] / STEP)
+            step = np.rint(w[rows, k] / STEP)
             step[np.isnan(step)] = _NAN
             part *= np.uint64(_LEVELS)
             part += (np.clip(step, -_INFINITE, _INFINITE) + _INFINITE).astype(np.uint64)
+
+    in_parts(pack, len(keys))
     return keys
 
 

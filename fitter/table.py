@@ -15,6 +15,7 @@ from fitter import directions
 from fitter.digest import DigestField, Sha256
 from fitter.errors import TableError
 from fitter.grid import Grid
+from fitter.parts import in_parts
 from fitter.repeats import STEP, repeated
 from fitter.summary import Summary, summarise
 
@@ -39,6 +40,7 @@ class Metadata:
     """Where a table comes from and what was done to it on reading. Everything here is JSON-ready.
 
     ``quantity`` is what the *file* held; :attr:`Table.value` is always f_r in 1/sr without the cosine.
+    ``angle_unit`` is the file's, "deg" or "rad", "" where it holds no angles; here they are always radians.
     ``scale_uncertainty`` is relative and common to the whole table, ``angle_uncertainty`` and
     ``aperture`` (receiver, full angle) are in radians; each is standard (k = 1), None where not stated.
     ``masked`` counts the samples masked by each reason. ``notes`` are sentences a person should read.
@@ -48,6 +50,7 @@ class Metadata:
     source_format: str = "arrays"
     quantity: Quantity = "brdf"
     convention: str = ""
+    angle_unit: str = ""
     sha256: Sha256 = DigestField()  # noqa: RUF009  # reads as str; a file's may still be on its way
     scale_uncertainty: float | None = None
     angle_uncertainty: float | None = None
@@ -91,8 +94,6 @@ SAME_DIRECTION = STEP
 
 #: Reasons for a mask that can't be found out from the table itself.
 MARKED, FILL = "marked unusable by its source", "fill value"
-#: Rows that are looked at together, so that a column of them stays in the processor's cache.
-_PART = 1 << 15
 
 #: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
 HORIZON = 1e-9
@@ -112,6 +113,8 @@ class Table:
     fills : (N,) True for samples that hold a fill value instead of a measured one.
     negatives : "mask" (the default) or "keep": whether negative values count as usable.
     duplicates : "mask" (all but the first of each geometry, the default) or "keep".
+    copy : False takes ``wi`` and ``wo`` over where they are float64 in C order, and may change them: z within
+        1e-9 of the horizon becomes 0.
 
     Attributes
     ----------
@@ -143,6 +146,7 @@ class Table:
         metadata: Metadata | None = None,
         negatives: Literal["mask", "keep"] = "mask",
         duplicates: Literal["mask", "keep"] = "mask",
+        copy: bool = True,
     ) -> None:
         self.metadata = metadata or Metadata()
         #: Seconds that :func:`fitter.load` took to read it; None where nobody knows.
@@ -154,7 +158,7 @@ class Table:
             raise self._error(
                 "the table holds no samples", "table-empty", remedy="check that the file is whole"
             )
-        self._wi, self._wo = self._check_directions(wi, wo, n)
+        self._wi, self._wo = self._check_directions(wi, wo, n, copy)
         self.sigma = None if sigma is None else _columns("sigma", sigma)
         if self.sigma is not None and self.sigma.shape != self.value.shape:
             raise self._error(
@@ -181,7 +185,7 @@ class Table:
         self.symmetry: Symmetry = symmetry or self._guess_symmetry()
 
     def _check_directions(
-        self, wi: ArrayLike | None, wo: ArrayLike | None, n: int
+        self, wi: ArrayLike | None, wo: ArrayLike | None, n: int, copy: bool
     ) -> tuple[FloatArray | None, FloatArray | None]:
         if self.grid is not None:
             if wi is not None or wo is not None:
@@ -195,20 +199,17 @@ class Table:
             raise self._error("a scattered table needs both wi and wo", "table-shape")
         pair: list[FloatArray] = []
         for name, given in (("wi", wi), ("wo", wo)):
-            w = np.array(given, np.float64, order="C")
+            w = np.array(given, np.float64, order="C", copy=copy or None)
             if w.shape != (n, 3):
                 raise self._error(
                     f"{name} has shape {w.shape}, expected ({n}, 3)", "table-shape", parameter=name
                 )
-            off = np.abs(np.einsum("ij,ij->i", w, w) - 1.0) > 1e-6
-            if off.any():
-                off &= np.isfinite(w).all(axis=1)
-            if off.any():
+            off = _not_unit(w)
+            if off is not None:
                 raise self._error(
-                    f"row {int(np.argmax(off)) + 1} of {name} is not a unit vector", "table-not-unit",
+                    f"row {off + 1} of {name} is not a unit vector", "table-not-unit",
                     parameter=name, remedy="divide each direction by its length",
                 )  # fmt: skip
-            w[np.abs(w[:, 2]) < HORIZON, 2] = 0.0
             pair.append(w)
         return pair[0], pair[1]
 
@@ -420,16 +421,36 @@ def _azimuths(w: FloatArray) -> float:
     return float(np.ptp(np.unwrap(np.sort(phi[tilted])))) if tilted.any() else 0.0
 
 
+def _not_unit(w: FloatArray) -> int | None:
+    """The first row of (n, 3) that is finite and no unit vector. Sets those about on the horizon on it."""
+    found: list[int] = []
+
+    def check(rows: slice) -> None:
+        part = w[rows]
+        off = np.abs(np.einsum("ij,ij->i", part, part) - 1.0) > 1e-6
+        if off.any():
+            off &= np.isfinite(part).all(axis=1)
+        if off.any():
+            found.append(rows.start + int(np.argmax(off)))
+        z = part[:, 2]
+        z[np.abs(z) < HORIZON] = 0.0
+
+    in_parts(check, len(w))
+    return min(found, default=None)
+
+
 def _every(values: FloatArray, *tests: Callable[[FloatArray], BoolArray]) -> tuple[BoolArray, ...]:
     """For each test, (N,) whether it holds for all of a row of (N, C)."""
     found = tuple(np.ones(len(values), bool) for _ in tests)
+
     # Column by column, in parts that stay in the cache: ten times faster than (N, C) flags and all(axis=1).
-    for start in range(0, len(values), _PART):
-        rows = slice(start, start + _PART)
+    def check(rows: slice) -> None:
         for k in range(values.shape[1]):
             part = values[rows, k]
             for test, flags in zip(tests, found, strict=True):
                 flags[rows] &= test(part)
+
+    in_parts(check, len(values))
     return found
 
 

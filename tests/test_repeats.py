@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitter import directions, repeats, table
+from fitter import directions, parts, repeats, table
+from fitter.errors import TableError
 from fitter.formats import geometry as geo
 from fitter.repeats import STEP, repeated
 
@@ -35,12 +36,44 @@ def test_repeats(pairs: list[tuple[tuple[float, ...], tuple[float, ...]]]):
 
 @pytest.mark.parametrize("part", [7, 1 << 15])
 def test_many_repeats(part: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(repeats, "_PART", part)
+    monkeypatch.setattr(parts, "ROWS", part)
     rng = np.random.default_rng(1)
     w = rng.standard_normal((2, 200, 3))
     w /= np.linalg.norm(w, axis=-1, keepdims=True)
     pick = rng.integers(0, 200, (2, 3000)) % np.array([[200], [3]])
     assert repeated(w[0, pick[0]], w[1, pick[1]]).tolist() == plainly(w[0, pick[0]], w[1, pick[1]])
+
+
+def test_many_rows_are_shared_by_threads(monkeypatch: pytest.MonkeyPatch):
+    """As one thread does it; what the caller says about overflow holds, and what is raised arrives."""
+    monkeypatch.setattr(parts, "_MANY", 1)
+    monkeypatch.setattr(parts, "ROWS", 10)
+    monkeypatch.setattr(parts.os, "cpu_count", lambda: 3)
+    theta, phi = np.random.default_rng(1).uniform(0, 1, (2, 1005))
+    theta[500] = np.inf
+    with np.errstate(invalid="ignore"):
+        found = directions.vector_from_spherical(theta, phi)
+        expected = np.stack(directions.spherical_components(theta, phi), axis=1)
+    np.testing.assert_array_equal(found, expected)
+
+    def fail(part: slice) -> None:
+        raise ValueError(part.start)
+
+    with pytest.raises(ValueError, match=r"^0$"):
+        parts.in_parts(fail, 1005)
+    w = np.array(expected[:400])
+    w[[37, 250]] *= 2
+    with pytest.raises(TableError, match="row 38 of wi is"):
+        table.Table(wi=w, wo=expected[:400], value=np.ones(400))
+
+
+def test_directions_are_copied_unless_they_are_given_away():
+    w = directions.vector_from_spherical(np.array([0.1, np.pi / 2]), 0.0)
+    kept = table.Table(wi=w[:1], wo=w[:1], value=[1.0])
+    assert not np.shares_memory(kept.wi, w)
+    given = table.Table(wi=w[:1], wo=w[1:], value=[1.0], copy=False)
+    assert np.shares_memory(given.wo, w)
+    assert w[1, 2] == 0.0
 
 
 def test_what_mixes_to_one_number_is_compared_in_full(monkeypatch: pytest.MonkeyPatch):

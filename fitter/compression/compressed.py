@@ -97,12 +97,12 @@ class CompressedTable:
         value = np.empty((samples, len(self.header["channels"])))
         for k in range(value.shape[1]):
             value[:, k] = self._channel(k)
-        directions = {name: self._array(name) for name in ("wi", "wo") if name in self.blocks}
+        wi, wo = (self._array(name) if name in self.blocks else None for name in ("wi", "wo"))
         document: dict[str, Any] = dict(self.header["metadata"])
         document["notes"] = tuple(document["notes"])
         metadata = Metadata(**document)
         table = Table(
-            value=value, grid=self._grid(), **directions,
+            value=value, grid=self._grid(), wi=wi, wo=wo,
             sigma=self._array("sigma") if "sigma" in self.blocks else None,
             channels=[Channel(c["name"], c["wavelength_nm"]) for c in self.header["channels"]],
             mask=np.unpackbits(self._array("mask"), count=samples).astype(bool),

@@ -106,14 +106,15 @@ def read(data: bytes, file: str | None = None) -> tuple[dict[str, Any], dict[str
     if len(data) < _PREFIX.size or not data.startswith(MAGIC):
         raise TableError(
             "this is not a compressed table", code="compressed-magic", file=file,
-            cause="another kind of file, or its first bytes are lost",
+            offset=0, cause="another kind of file, or its first bytes are lost",
             remedy="read measured files with fitter.load",
         )  # fmt: skip
     _, version, length, crc = _PREFIX.unpack_from(data)
     if version != VERSION:
         raise TableError(
             f"the container has version {version}, this library reads {VERSION}", code="compressed-version",
-            file=file, remedy="use the version of brdf-fitter that wrote it, or a newer one",
+            file=file, offset=len(MAGIC),
+            remedy="use the version of brdf-fitter that wrote it, or a newer one",
         )  # fmt: skip
     text = data[_PREFIX.size : _PREFIX.size + length]
     if len(text) < length or zlib.crc32(text) != crc:

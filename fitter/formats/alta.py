@@ -80,6 +80,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     reading = Reading(
         NAME, quantity, np.ascontiguousarray(numbers[:, inputs:]), channels,
         name=keys.get("SAMPLE", "").strip('"'), provenance=dict(keys), notes=tuple(notes), text=start is None,
+        angle_unit="" if how == "CARTESIAN" else "rad",
     )  # fmt: skip
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 
@@ -175,7 +176,7 @@ def _binary(
     raise source.error(
         f"#SAMPLE_COUNT is {words[:40] or 'missing'}: {count:,} rows of {widths[0]} numbers do not end where "
         f"#END_STREAM is", "table-truncated", row=rows_of.get("SAMPLE_COUNT"), column="SAMPLE_COUNT",
-        cause="the file is cut off or its header damaged", remedy="fetch the file again",
+        offset=start, cause="the file is cut off or its header damaged", remedy="fetch the file again",
     )  # fmt: skip
 
 

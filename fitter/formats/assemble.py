@@ -36,6 +36,7 @@ class Reading:
 
     value, sigma : (n, C) as in the file, in ``quantity``. usable : (n,) or None. filled : (n,) what the
     format itself marks as fill values, or None.
+    angle_unit : of the file's angles, "deg" or "rad"; "" where it holds none.
     statements : what the file says beside the samples (scale_uncertainty, aperture, ...; radians).
     text : whether the file is text, of which an open last line may mean that it is cut off.
     """
@@ -50,6 +51,7 @@ class Reading:
     symmetry: Symmetry | None = None
     name: str = ""
     item: str | None = None
+    angle_unit: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     statements: Mapping[str, float] = field(default_factory=dict[str, float])
     notes: tuple[str, ...] = ()
@@ -62,9 +64,11 @@ def assemble(
     reading: Reading,
     geometry: Geometry,
     grid: tuple[Grid, NDArray[np.intp]] | None = None,
+    copy: bool = True,
 ) -> Table:
     """The Table of a reading: values converted to f_r, rows put in the grid's order where there is one.
 
+    copy : False where the directions of ``geometry`` are this table's alone.
     Raises TableError, with the file's name, where nothing is usable.
     """
     notes = [*reading.notes, *geometry.notes]
@@ -85,7 +89,8 @@ def assemble(
         fills = found.rows if found.rows.any() else None
         notes += found.notes
     kept = np.ones(len(value), bool) if reading.usable is None else reading.usable
-    zeros = int(np.count_nonzero(value[kept if fills is None else kept & ~fills] == 0))
+    kept = kept if fills is None else kept & ~fills
+    zeros = sum(int(np.count_nonzero((column == 0) & kept)) for column in value.T)
     if zeros:
         notes.append(f"{zeros} values are exactly 0: measured, unless the source writes 0 for missing.")
     if reading.text and not source.ends_in_newline:
@@ -105,7 +110,8 @@ def assemble(
     directions = {} if grid is not None else {"wi": geometry.wi, "wo": geometry.wo}
     return build(
         source, options, reading, geometry.convention, notes, value=value, sigma=sigma, mask=usable,
-        fills=fills, grid=None if grid is None else grid[0], symmetric=geometry.symmetric, **directions,
+        fills=fills, grid=None if grid is None else grid[0], symmetric=geometry.symmetric, copy=copy,
+        **directions,
     )  # fmt: skip
 
 
@@ -129,7 +135,8 @@ def build(
     metadata = Metadata(
         name=f"{name} [{reading.item}]" if reading.item is not None else name,
         source_format=reading.source_format, quantity=reading.quantity, convention=convention,
-        sha256=source.digest, scale_uncertainty=reading.statements.get("scale_uncertainty"),
+        angle_unit=reading.angle_unit, sha256=source.digest,
+        scale_uncertainty=reading.statements.get("scale_uncertainty"),
         angle_uncertainty=reading.statements.get("angle_uncertainty"),
         aperture=reading.statements.get("aperture"), provenance=provenance, notes=tuple(notes),
     )  # fmt: skip

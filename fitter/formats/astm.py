@@ -61,6 +61,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     reading = Reading(
         NAME, quantity, np.stack([numbers[k] for k in values], axis=1), channels,
         name=head.keys.get("SAMPLE_NAME", ""), provenance=dict(head.keys), notes=tuple(notes),
+        angle_unit="rad",
     )  # fmt: skip
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 
@@ -189,7 +190,8 @@ def _rows(source: Source, head: _Head) -> Rows:
     stated = head.keys.get("NUM_POINTS", "")
     if not stated.isdecimal():
         raise source.error(
-            f"NUM_POINTS is {stated[:40]!r}, not a count", "table-header", row=head.rows_of.get("NUM_POINTS"),
+            f"NUM_POINTS is {stated[:40]!r}, not a count", "table-header",
+            row=head.rows_of.get("NUM_POINTS", head.end), column="NUM_POINTS",
             cause="a damaged header", remedy="write NUM_POINTS and the number of rows before VARS",
         )  # fmt: skip
     rows = Rows(

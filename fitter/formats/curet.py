@@ -141,7 +141,7 @@ def _table(
     channels = [Channel(c) for c in "RGB"] if len(files) == 3 else [Channel("value")]
     reading = Reading(
         NAME, quantity, values, channels, item=str(item), provenance={"sample": item},
-        notes=("Values have three decimals.", *notes, *against),
+        notes=("Values have three decimals.", *notes, *against), angle_unit="rad",
     )  # fmt: skip
     return assemble(files[0].source, options, reading, geometry)
 

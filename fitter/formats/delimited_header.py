@@ -88,8 +88,9 @@ def _rows(source: Source, lines: Sequence[str]) -> tuple[Head, Rows]:
         numbers.append(number)
     if not texts:
         raise source.error(
-            "the file holds comments but no rows", "table-empty", remedy="check that it is whole"
-        )
+            "the file holds comments but no rows", "table-empty", row=len(lines),
+            remedy="check that it is whole",
+        )  # fmt: skip
     delimiter = next((d for d in (";", "\t", ",") if d in texts[0]), None)
     first = split(texts[0], delimiter)
     if not all(is_number(cell) for cell in first):

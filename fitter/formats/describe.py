@@ -24,6 +24,7 @@ def describe(table: Table) -> dict[str, Any]:
         "format": meta.source_format,
         "quantity": meta.quantity,
         "convention": meta.convention,
+        "angle_unit": meta.angle_unit,
         "symmetry": table.symmetry,
         "samples": len(table),
         "usable": int(table.mask.sum()),
@@ -32,7 +33,7 @@ def describe(table: Table) -> dict[str, Any]:
             {
                 "name": channel.name,
                 "wavelength_nm": channel.wavelength_nm,
-                "min_per_sr": float(column.min()),
+                "min_per_sr": float(column.min()) + 0.0,  # -0 is 0
                 "median_per_sr": float(np.median(column)),
                 "max_per_sr": float(column.max()),
             }

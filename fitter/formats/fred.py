@@ -71,7 +71,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         notes.append(f"{behind} rows have theta_s beyond 90 deg: transmission, masked.")
     reading = Reading(
         NAME, quantity, scale * numbers[:, 2:], [Channel("value")], provenance={"scale": scale},
-        notes=tuple(notes),
+        notes=tuple(notes), angle_unit=unit,
     )  # fmt: skip
     return [assemble(source, options, reading, geometry, geo.find_grid(geometry))]
 

@@ -74,6 +74,7 @@ def _only_group(source: Source, groups: Sequence[Group], options: ReadOptions) -
     raise source.error(
         f"no group of the file holds values ({'; '.join(names)[:300]})" if filled
         else "the file holds no datasets", "table-columns" if filled else "table-empty",
+        parameter="columns" if filled else None,
         remedy="call a dataset brdf, ccbrdf, reflectance_factor or value, or give columns={name: meaning}"
         if filled else "check that it is whole",
     )  # fmt: skip

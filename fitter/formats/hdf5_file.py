@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import TableError
-from fitter.formats.hdf5_guard import guarded
+from fitter.formats.hdf5_guard import Lent, guarded, stated_end
 from fitter.formats.hdf5_storage import Stored
 from fitter.formats.source import Source
 
@@ -112,8 +112,9 @@ class _Heaps:
 
 def groups_of(source: Source) -> list[Group]:
     """Every group of the file, parents first. Raises TableError for damage and for what is not read."""
-    with refusing(source):
-        file = guarded(source.buffer)
+    lent = Lent(source.buffer)
+    with refusing(source, lent=lent):
+        file = guarded(lent)
         found = list(_walk(file))
         heaps = _Heaps(file._fh, {})
         places = {address: path for _, links, _ in reversed(found) for path, address, _ in reversed(links)}
@@ -136,8 +137,11 @@ def groups_of(source: Source) -> list[Group]:
 
 
 @contextmanager
-def refusing(source: Source, column: str | None = None) -> Generator[None]:
-    """Turn what pyfive raises at damaged bytes, and at what it does not read, into a TableError."""
+def refusing(source: Source, column: str | None = None, lent: Lent | None = None) -> Generator[None]:
+    """Turn what pyfive raises at damaged bytes, and at what it does not read, into a TableError.
+
+    column : what is being read; lent : what it is read through, which knows the byte.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of attributes and types it does not know
@@ -148,19 +152,22 @@ def refusing(source: Source, column: str | None = None) -> Generator[None]:
         if not isinstance(error, _EXPECTED) and type(error).__module__.partition(".")[0] != "pyfive":
             raise
         reason = " ".join(str(error).split())[:120]
+        offset = None if lent is None else lent.place
+        if lent is not None and stated_end(source.buffer) > source.size:
+            offset, reason = source.size, f"it ends before byte {stated_end(source.buffer):,}, as it states"
         if isinstance(error, RuntimeError | AssertionError) and not isinstance(error, RecursionError):
-            raise unread(source, reason, column) from error
+            raise unread(source, reason, column, offset) from error
         raise source.error(
             f"the HDF5 file can't be read{': ' if reason else ''}{reason}", "table-truncated", column=column,
-            cause="the file is cut off or damaged", remedy="fetch the file again",
+            offset=offset, cause="the file is cut off or damaged", remedy="fetch the file again",
         ) from error  # fmt: skip
 
 
-def unread(source: Source, reason: str, column: str | None) -> TableError:
+def unread(source: Source, reason: str, column: str | None, offset: int | None = None) -> TableError:
     """A TableError for a type or a form of storage that is not read."""
     return source.error(
         f"the HDF5 file has what is not read{': ' if reason else ''}{reason[:120]}", "table-hdf5-feature",
-        column=column,
+        column=column, offset=offset,
         cause="links to other files, a rare type or the newest form of storage (libver='latest'), or damage",
         remedy="write it anew: h5repack -f GZIP=4 in.h5 out.h5, or nccopy -k classic in.nc out.nc",
     )  # fmt: skip

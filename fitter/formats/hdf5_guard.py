@@ -17,13 +17,17 @@ _READ = 16
 _VARIABLE, _REFERENCE = 16, 8
 
 
-class _Lent:
-    """The file as pyfive reads it. Raises ValueError when it has read more than a structure can have."""
+class Lent:
+    """The file as pyfive reads it. Raises ValueError when it has read more than a structure can have.
+
+    place : the byte at which it last read something.
+    """
 
     closed = False
 
     def __init__(self, data: memoryview) -> None:
         self._data, self._at = data, 0
+        self.place = 0
         self._left = _STRUCTURE + len(data) // _SHARE
 
     def seek(self, offset: int, whence: int = 0) -> int:
@@ -39,13 +43,21 @@ class _Lent:
         if self._left < 0:
             raise ValueError("the file's structure leads in a circle")
         piece = bytes(self._data[self._at : end])
+        if piece:
+            self.place = self._at
         self._at += len(piece)
         return piece
 
 
-def guarded(data: memoryview) -> Any:
+def stated_end(data: memoryview) -> int:
+    """Where the superblock says that the file ends, 0 where it doesn't (HDF5 File Format, II.A)."""
+    at = {0: 40, 1: 44, 2: 28, 3: 28}.get(data[8] if len(data) > 8 else -1)
+    return 0 if at is None else int.from_bytes(bytes(data[at : at + 8]), "little")
+
+
+def guarded(lent: Lent) -> Any:
     """The HDF5 file of these bytes, a pyfive.File whose text is decoded. Raises what pyfive raises."""
-    return _guarded_file()(_Lent(data), decode_strings=True)
+    return _guarded_file()(lent, decode_strings=True)
 
 
 @cache

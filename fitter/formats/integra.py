@@ -1,20 +1,27 @@
-"""Integra .ddr text: luminance or intensity coefficients on polar grids about the specular direction.
+"""Integra DDR and SDR text.
+
+DDR: luminance or intensity coefficients on polar grids about the specular direction.
 
 A value of 1 is a white diffuser's, so luminance data are reflectance factors and intensity data have the
 cosine in them; "Absolute" values are multiplied by the block's kbdf, as libbsdf (K. Ryo) reads these files.
 "Relative" values are scaled so that kbdf is the reflectance, which needs an integral over the whole
 hemisphere: refused.
+
+SDR: specular reflectance (a ratio, not per sr) for each angle of incidence. It is the weight of a mirror's
+delta function: told, as the contents of a NoTable, and refused.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.errors import NoTable
 from fitter.formats import geometry as geo
 from fitter.formats import specular
 from fitter.formats.assemble import ABOUT_SPECULAR, QUANTITY_REMEDY, Reading, assemble, stated_quantity
@@ -51,29 +58,31 @@ class _Head:
 
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
-    """The table of a DDR file. SDR (specular reflectance only) and transmission files are refused."""
-    if source.name and source.name.lower().endswith((".ddt", ".sdt")):
-        raise source.error(
-            "Integra calls files of transmission .ddt and .sdt", "table-transmission",
-            remedy="use the .ddr file; if this is one that was renamed, call it so",
-        )  # fmt: skip
+    """The table of a DDR file. Raises NoTable for transmission and for SDR (specular reflectance only)."""
     tokens = Tokens(source, ";")
     head = _head(tokens)
+    transmission = bool(source.name and source.name.lower().endswith((".ddt", ".sdt")))
+    if "sigma" in head.lists and not {"phi", "theta"} & set(head.lists):
+        raise _specular_only(source, tokens, head, "transmittance" if transmission else "reflectance")
+    if transmission:
+        raise source.no_table(
+            "Integra calls files of transmission .ddt and .sdt", "table-transmission", "transmission",
+            remedy="use the .ddr file; if this is one that was renamed, call it so",
+        )  # fmt: skip
+    _complete(tokens, head)
     quantity, notes = _quantity(tokens, head, options)
     psi, sigma, phi, theta = (head.lists[key] for key in _LISTS)
     shape = (len(psi), len(sigma), len(phi), len(theta))
-    channels: list[Channel] = []
-    values: list[FloatArray] = []
     factors: dict[str, list[float]] = {}
-    while tokens.left:
-        channels.append(_channel(tokens, head, channels))
-        channel = channels[-1]
-        block, kbdf = _block(tokens, shape)
-        values.append(block)
+    values: list[FloatArray] = []
+
+    def block(channel: Channel) -> None:
+        one, kbdf = _block(tokens, shape)
+        values.append(one)
         if kbdf is not None:
             factors[channel.name] = kbdf.reshape(-1).tolist()
-    if len(channels) != head.count:
-        raise tokens.truncated(f"the file has {len(channels)} channels and should have {head.count}")
+
+    channels = _channels(tokens, head, block)
     p, i, a, r = (c.reshape(-1) for c in np.meshgrid(psi, sigma, phi, theta, indexing="ij"))
     pole = np.interp(i, sigma, head.lists["sigmaT"]) if "sigmaT" in head.lists else i
     geometry = geo.from_directions(
@@ -88,7 +97,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     notes.append("The form is that of a transmission file (.ddt) too: nothing in it tells them apart.")
     stacked = np.stack(values, axis=-1)
     reading = Reading(
-        NAME, quantity, stacked.reshape(-1, len(channels)), channels,
+        NAME, quantity, stacked.reshape(-1, len(channels)), channels, angle_unit="deg",
         filled=trailing_zeros(stacked, -2).reshape(-1),
         symmetry="isotropic" if len(psi) == 1 else "anisotropic",
         provenance={**head.words, "comments": tokens.comments, "kbdf": factors}, notes=tuple(notes),
@@ -136,11 +145,11 @@ def _head(tokens: Tokens) -> _Head:
                     f"{key[:40]!r} is no line of an Integra header", "table-header", cause="a damaged header",
                     remedy="begin comments with a semicolon",
                 )  # fmt: skip
-    if "sigma" in head.lists and not {"phi", "theta"} & set(head.lists):
-        raise tokens.error(
-            "the file holds specular reflectance against the angle of incidence (SDR), no BRDF",
-            "table-specular-only", remedy="use the .ddr file of the same sample",
-        )  # fmt: skip
+    return head
+
+
+def _complete(tokens: Tokens, head: _Head) -> None:
+    """Fill in what a DDR header may leave out. TableError for what it may not."""
     head.lists.setdefault("psi", np.zeros(1))
     missing = [key for key in ("sigma", "phi", "theta") if key not in head.lists]
     missing += ["TypeColorModel"] * ("TypeColorModel" not in head.words)
@@ -149,7 +158,6 @@ def _head(tokens: Tokens) -> _Head:
             f"the header has no {', '.join(missing)}", "table-header", cause="a damaged header",
             remedy="fetch the file again",
         )  # fmt: skip
-    return head
 
 
 def _quantity(tokens: Tokens, head: _Head, options: ReadOptions) -> tuple[Quantity, list[str]]:
@@ -157,7 +165,8 @@ def _quantity(tokens: Tokens, head: _Head, options: ReadOptions) -> tuple[Quanti
     if stated.endswith("Relative"):
         raise tokens.error(
             f"TypeData is {stated}: the values have no scale of their own", "table-quantity",
-            column="TypeData", remedy="export the file with absolute values",
+            column="TypeData", cause="kbdf is then the reflectance of an incidence, not a factor",
+            remedy="export the file with absolute values, or scale each incidence and write Absolute",
         )  # fmt: skip
     if stated:
         return stated_quantity(options, "ccbrdf" if stated[0] == "I" else "reflectance_factor", stated)
@@ -167,6 +176,50 @@ def _quantity(tokens: Tokens, head: _Head, options: ReadOptions) -> tuple[Quanti
             parameter="quantity", remedy=QUANTITY_REMEDY,
         )  # fmt: skip
     return options.quantity, []
+
+
+def _channels(tokens: Tokens, head: _Head, block: Callable[[Channel], None]) -> list[Channel]:
+    """The channels of a file, the block of each read by ``block`` in turn."""
+    found: list[Channel] = []
+    while tokens.left:
+        found.append(_channel(tokens, head, found))
+        block(found[-1])
+        if tokens.peek().lower() == "enddef":
+            tokens.word("enddef")
+    if len(found) != head.count:
+        raise tokens.truncated(f"the file has {len(found)} channels and should have {head.count}")
+    return found
+
+
+def _specular_only(source: Source, tokens: Tokens, head: _Head, kind: str) -> NoTable:
+    """What to tell of an SDR file: the ratio for each channel and incidence, as the file has it."""
+    if "TypeColorModel" not in head.words:
+        _complete(tokens, head)  # says what is missing
+    sigma = head.lists["sigma"]
+    values: list[FloatArray] = []
+
+    def block(_: Channel) -> None:
+        tokens.chosen("def", ("def",))
+        values.append(tokens.numbers(len(sigma), f"specular {kind}"))
+
+    channels = _channels(tokens, head, block)
+    told = [
+        {
+            "name": channel.name, "wavelength_nm": channel.wavelength_nm,
+            f"specular_{kind}": [value if math.isfinite(value) else None for value in one.tolist()],
+        }
+        for channel, one in zip(channels, values, strict=True)
+    ]  # fmt: skip
+    return source.no_table(
+        f"the file holds specular {kind} at {len(sigma)} angles of incidence (SDR): the share that a mirror "
+        "direction takes, and no BRDF, which is per steradian", "table-specular-only", f"specular {kind}",
+        column="sigma",
+        contents={
+            "theta_i_deg": np.round(np.rad2deg(sigma), 10).tolist(), "channels": told, **head.words,
+            "comments": tokens.comments,
+        },
+        remedy="fit the .ddr file of the same sample; it holds what is scattered",
+    )  # fmt: skip
 
 
 def _channel(tokens: Tokens, head: _Head, before: list[Channel]) -> Channel:

@@ -149,6 +149,7 @@ def _table(
     reading = Reading(
         NAME, quantity, np.stack([one.values.reshape(-1) for one in found], axis=1), channels,
         name=layer.element.words("Material", "Name"), item=item, notes=(*notes_of, *said),
+        angle_unit="deg",
         provenance={**provenance_of(layer, side), "basis": names},
     )  # fmt: skip
     return assemble(source, options, reading, geometry)

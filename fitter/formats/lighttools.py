@@ -54,9 +54,9 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         blocks.append(_block(tokens, len(azimuth) * len(radial)))
     kept = [b for b in blocks if b.words["ScatterType"] == "BRDF"]
     if not kept:
-        raise tokens.error(
-            "the file holds no reflection (BRDF) block", "table-transmission", column="ScatterType",
-            remedy="use the file of the same sample's reflection",
+        raise source.no_table(
+            "the file holds no reflection (BRDF) block", "table-transmission", "transmission",
+            row=tokens.row, column="ScatterType", remedy="use the file of the same sample's reflection",
         )  # fmt: skip
     planes = {block.numbers.get("POI", 0.0) for block in kept}
     if len(planes) > 1:
@@ -170,6 +170,7 @@ def _table(
     )  # fmt: skip
     reading = Reading(
         NAME, quantity, values, channels, symmetry="isotropic", item=item, provenance=dict(words),
+        angle_unit="deg",
         notes=(
             "The light of an isotropic LightTools file is at azimuth 90 deg.", *notes, *against,
             *([TRISTIMULUS] if xyz else []),

@@ -7,13 +7,14 @@ import os
 import time
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, TypeAlias, cast
 
-from fitter.errors import SpecError, TableError
+from fitter.errors import NoTable, SpecError, TableError
 from fitter.formats.fills import Fills
 from fitter.formats.held import Held, held
 from fitter.formats.read_options import ReadOptions, Treatment
@@ -113,6 +114,7 @@ def load_all(
     Raises
     ------
     TableError : a file is no table (the error names it), or nothing is there to read.
+    NoTable : all that is there was understood and holds no BRDF. Beside tables it is left out, with a note.
     """
     options = ReadOptions(
         quantity=quantity, convention=convention, item=item, columns=columns or (),  # type: ignore[arg-type]
@@ -121,6 +123,7 @@ def load_all(
     # A slot for each file in turn; the files of one spread-out measurement share the first one's.
     slots: list[list[Table]] = []
     spread: dict[tuple[str, str], tuple[int, Format, list[Source]]] = {}
+    skipped: list[NoTable] = []
     inner = False
     for one, container in _sources(source, name):
         inner = container is not None
@@ -139,11 +142,19 @@ def load_all(
             spread[key][2].append(one)
             continue
         # One name can't be that of every file in a container.
-        slots.append(entry.read(one, replace(options, name=None) if inner else options))
+        slots.append([])
+        with _setting_aside(skipped):
+            slots[-1] = entry.read(one, replace(options, name=None) if inner else options)
     for slot, entry, parts in spread.values():
         assert entry.together is not None
-        slots[slot] = entry.together(parts, replace(options, name=None))
+        with _setting_aside(skipped):
+            slots[slot] = entry.together(parts, replace(options, name=None))
     tables = [table for slot in slots for table in slot]
+    if not tables and skipped:
+        raise skipped[0]
+    beside = tuple(f"{one.file or 'A file'} holds {one.contents['holds']}: not read." for one in skipped)
+    for table in tables if beside else ():
+        table.metadata = table.metadata.but(notes=(*table.metadata.notes, *beside))
     if not tables:
         raise TableError("there is no file to read", code="table-empty", file=_name_of(source, name))
     if item is not None:
@@ -151,6 +162,15 @@ def load_all(
     if inner and name is not None and len(tables) == 1:
         tables[0].metadata = replace(tables[0].metadata, name=name)
     return tables
+
+
+@contextmanager
+def _setting_aside(skipped: list[NoTable]) -> Generator[None]:
+    """Add what holds no BRDF to ``skipped``, for the rest to be read."""
+    try:
+        yield
+    except NoTable as error:
+        skipped.append(error)
 
 
 def _sources(
@@ -179,7 +199,8 @@ def _sources(
 
 
 def _members(archive: Source) -> Iterator[tuple[str, Source]]:
-    """(folder inside the archive, file) of every file in it."""
+    """(folder inside the archive, file) of every file in it. Errors name the member as their column."""
+    where: dict[str, Any] = {}
     try:
         with zipfile.ZipFile(BytesIO(archive.data)) as content:
             wanted = [
@@ -195,6 +216,7 @@ def _members(archive: Source) -> Iterator[tuple[str, Source]]:
             for member in wanted:
                 # read() stops at the size the directory claims, which is bounded above.
                 path = Path(member.filename)
+                where = {"column": member.filename[:80], "offset": member.header_offset}
                 yield str(path.parent), Source(content.read(member), path.name)
     except (
         zipfile.BadZipFile,
@@ -206,11 +228,11 @@ def _members(archive: Source) -> Iterator[tuple[str, Source]]:
         OverflowError,
     ) as error:
         raise archive.error(
-            f"the zip archive is damaged: {error}", "archive-damaged", remedy="fetch the file again"
+            f"the zip archive is damaged: {error}", "archive-damaged", **where, remedy="fetch the file again"
         ) from error
     except (RuntimeError, NotImplementedError) as error:
         raise archive.error(
-            f"the zip archive can't be unpacked: {error}", "archive-damaged",
+            f"the zip archive can't be unpacked: {error}", "archive-damaged", **where,
             cause="a password or an unusual compression", remedy="unpack it and load the folder",
         ) from error  # fmt: skip
 

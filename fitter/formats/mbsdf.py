@@ -43,25 +43,26 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     data = source.buffer
     lines, at = _lines(source, len(MAGIC))
     if lines and lines[-1] == _TRANSMISSION:
-        raise source.error(
-            "the file holds transmission only", "table-transmission", column="MBSDF_DATA_TRANSMISSION",
+        raise source.no_table(
+            "the file holds transmission only", "table-transmission", "transmission",
+            column="MBSDF_DATA_TRANSMISSION", offset=at,
             remedy="use the file of the same sample's reflection",
         )  # fmt: skip
     (channels, theta, phi), end = _block(source, at)
     rest = bytes(data[end : end + len(_TRANSMISSION) + 1])
     if rest == _TRANSMISSION + b"\n":
-        _, last = _block(source, end + len(rest))
+        _, end = _block(source, end + len(rest))
         notes.append("The transmission part was not read.")
-        rest = bytes(data[last : last + 1])
+        rest = bytes(data[end : end + 1])
     if rest:
         raise source.error(
             "the file goes on after its last value", "table-header", column="MBSDF_DATA",
-            cause="the counts don't fit the values", remedy="fetch the file again",
+            offset=end, cause="the counts don't fit the values", remedy="fetch the file again",
         )  # fmt: skip
     if theta < 2 or phi < 2:
         raise source.error(
             f"the grid has {theta} x {theta} x {phi} cells, too few to interpolate", "table-header",
-            remedy="use a file of 2 or more cells on each axis",
+            offset=at, remedy="use a file of 2 or more cells on each axis",
         )  # fmt: skip
     grid = mbsdf_grid(theta, phi)
     stored = np.frombuffer(data, "<f4", grid.size * channels, at + _BLOCK.size).reshape(grid.size, channels)
@@ -144,7 +145,7 @@ def _lines(source: Source, at: int) -> tuple[list[bytes], int]:
         if end < 0:
             raise source.error(
                 "the file has no line MBSDF_DATA_REFLECTION=", "table-header",
-                row=len(lines) + 2, cause="a damaged header, or a file that is cut off",
+                row=len(lines) + 2, offset=at, cause="a damaged header, or a file that is cut off",
                 remedy="fetch the file again",
             )  # fmt: skip
         lines.append(piece[:end])
@@ -159,7 +160,7 @@ def _block(source: Source, at: int) -> tuple[tuple[int, int, int], int]:
         kind, theta, phi = _BLOCK.unpack_from(source.buffer, at)
     if kind > 1:
         raise source.error(
-            f"the block has the unknown type {kind}", "table-header", column="type",
+            f"the block has the unknown type {kind}", "table-header", column="type", offset=at,
             cause="a damaged header", remedy="fetch the file again",
         )  # fmt: skip
     channels = 3 if kind == 1 else 1
@@ -167,7 +168,7 @@ def _block(source: Source, at: int) -> tuple[tuple[int, int, int], int]:
     if end > source.size:
         raise source.error(
             f"the header claims {theta} x {theta} x {phi} cells of {channels} values, {end:,} bytes, and the "
-            f"file has {source.size:,}", "table-truncated", column="MBSDF_DATA",
+            f"file has {source.size:,}", "table-truncated", column="MBSDF_DATA", offset=at,
             cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     return (channels, theta, phi), end

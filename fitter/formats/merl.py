@@ -48,14 +48,14 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if source.size != _bytes(dims):
         raise source.error(
             f"the header claims {' x '.join(map(str, dims))} cells, {_bytes(dims):,} bytes, "
-            f"and the file has {source.size:,}", "table-truncated", column="dimensions",
+            f"and the file has {source.size:,}", "table-truncated", column="dimensions", offset=0,
             cause="the file is cut off" if source.size < _bytes(dims) else "the file is not a MERL binary",
             remedy="fetch the file again",
         )  # fmt: skip
     if min(dims) < 2:
         raise source.error(
             f"the grid has {' x '.join(map(str, dims))} cells, too few to interpolate", "table-header",
-            remedy="use a MERL file of 2 or more cells on each axis",
+            column="dimensions", offset=0, remedy="use a MERL file of 2 or more cells on each axis",
         )  # fmt: skip
     planes = np.frombuffer(source.buffer, "<f8", offset=_HEADER.size).reshape(3, -1)
     with np.errstate(over="ignore", invalid="ignore"):

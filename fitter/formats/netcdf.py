@@ -6,7 +6,7 @@ Variables are the columns of delimited text, global attributes its header lines:
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.errors import TableError
 from fitter.formats.arrays import Variable, tables_of, words_of
 from fitter.formats.labelled import labelled
 from fitter.formats.output import write_aside
@@ -35,8 +36,9 @@ def sniff(head: bytes, size: int) -> float:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a NetCDF file: one, or one for each wavelength or item where a variable tells them apart."""
-    with _refusing(source):
-        variables, said = _contents(source)
+    stream = BytesIO(source.data)
+    with _refusing(source, stream.tell):
+        variables, said = _contents(source, stream)
     return tables_of(source, options, variables, said, format=NAME)
 
 
@@ -72,26 +74,34 @@ FORMAT = Format(
 
 
 @contextmanager
-def _refusing(source: Source) -> Generator[None]:
-    """Turn what the parser raises at damaged bytes into a TableError."""
+def _refusing(
+    source: Source, at: Callable[[], int] | None = None, column: str | None = None
+) -> Generator[None]:
+    """Turn what the parser raises at damaged bytes into a TableError. ``at`` says how far it had read."""
     try:
         yield
+    except TableError:
+        raise
     except (
         ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, OSError, TypeError,
         ValueError,
     ) as error:  # fmt: skip
         raise source.error(
-            "the NetCDF file can't be read", "table-truncated", cause="the file is cut off or damaged",
+            "the NetCDF file can't be read", "table-truncated", column=column,
+            offset=None if at is None else min(at(), source.size), cause="the file is cut off or damaged",
             remedy="fetch the file again",
         ) from error  # fmt: skip
 
 
-def _contents(source: Source) -> tuple[list[Variable], dict[str, str]]:
+def _contents(source: Source, stream: BytesIO) -> tuple[list[Variable], dict[str, str]]:
     """The variables that have numbers or text, and the global attributes as text."""
     from scipy.io import netcdf_file
 
-    file: Any = netcdf_file(BytesIO(source.data), "r", mmap=False)
-    variables = [_variable(str(name), one) for name, one in file.variables.items()]
+    file: Any = netcdf_file(stream, "r", mmap=False)
+    variables: list[Variable] = []
+    for name, one in file.variables.items():
+        with _refusing(source, column=str(name)[:40]):
+            variables.append(_variable(str(name), one))
     said = {key: _plain(value) for key, value in file._attributes.items()}
     return variables, {key: str(value) for key, value in said.items()}
 

@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.errors import TableError
 from fitter.formats import openexr_writer, utia
 from fitter.formats.arrays import Variable, tables_of
+from fitter.formats.openexr_header import damage
 from fitter.formats.openexr_writer import AXES, PREFIX, VERSION, WORD
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
@@ -44,8 +46,9 @@ def sniff(head: bytes, size: int) -> float:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """The table of slices, or of a UTIA file. Raises TableError for any other picture."""
-    with _refusing(source):
-        parts = _parts(source, pixels=False)
+    stream = _Stream(source.data)
+    with _refusing(source, stream):
+        parts = _parts(stream, pixels=False)
         shapes = [_shape(part) for part in parts]
         channels = [[str(channel.name) for channel in part.header["channels"]] for part in parts]
         said = {
@@ -56,17 +59,18 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if 4 * pixels > min(LARGEST, max(_UNPACKED * source.size, _SMALL)):
         raise source.error(
             f"the header claims {pixels:,} values in a file of {source.size:,} bytes", "table-truncated",
-            cause="a damaged header", remedy="fetch the file again",
+            column="dataWindow", cause="a damaged header", remedy="fetch the file again",
         )  # fmt: skip
     if WORD in said:
         return _slices(source, options, said)
     if len(parts) == 1 and shapes[0] == utia.SIDES and {"R", "G", "B"} <= set(channels[0]):
-        with _refusing(source):
-            found = _parts(source, pixels=True)[0].channels
+        with _refusing(source, stream):
+            found = _parts(stream, pixels=True)[0].channels
             planes = np.stack([np.asarray(found[name].pixels, np.float64) for name in "RGB"])
         return [utia.from_picture(source, options, planes)]
     raise source.error(
-        "the picture says nothing about directions", "table-header", cause="a rendered or measured image",
+        "the picture says nothing about directions", "table-header", column=PREFIX + WORD,
+        cause="a rendered or measured image",
         remedy="use slices that this program wrote, or a BRDF of the UTIA database (288 x 288 pixels, RGB)",
     )  # fmt: skip
 
@@ -77,25 +81,47 @@ FORMAT = Format(
 )  # fmt: skip
 
 
+class _Stream(BytesIO):
+    """The file as OpenEXR reads it. place : the byte at which it last read something."""
+
+    place = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        at = self.tell()
+        piece = super().read(size)
+        if piece:
+            self.place = at
+        return piece
+
+
 @contextmanager
-def _refusing(source: Source) -> Generator[None]:
-    """Turn what OpenEXR raises at damaged bytes into a TableError."""
+def _refusing(source: Source, stream: _Stream | None = None, column: str | None = None) -> Generator[None]:
+    """Turn what OpenEXR raises at damaged bytes of ``stream``, or at an attribute, into a TableError."""
     try:
         yield
+    except TableError:
+        raise
     except (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:120]
+        offset = None
+        if stream is not None:
+            # The header is read at once, a part's pixels each for themselves.
+            found = damage(source.buffer)
+            offset, column = (stream.place, column) if found is None else (found.offset, found.attribute[:40])
         raise source.error(
             f"the OpenEXR file can't be read{': ' if reason else ''}{reason}", "table-truncated",
-            cause="the file is cut off or damaged", remedy="fetch the file again",
+            column=column or None, offset=offset, cause="the file is cut off or damaged",
+            remedy="fetch the file again",
         ) from error  # fmt: skip
 
 
-def _parts(source: Source, *, pixels: bool) -> list[Any]:
+def _parts(stream: _Stream, *, pixels: bool) -> list[Any]:
     import OpenEXR
 
     # What goes wrong with a part's pixels is printed, and the part left out.
+    stream.seek(0)
     with redirect_stdout(StringIO()) as printed:
-        file: Any = OpenEXR.File(BytesIO(source.data), True, not pixels, 0)
+        file: Any = OpenEXR.File(stream, True, not pixels, 0)
     parts: list[Any] = list(file.parts)
     if not parts or printed.getvalue():
         raise ValueError(printed.getvalue() or "no picture in it")
@@ -123,12 +149,19 @@ def _slices(source: Source, options: ReadOptions, said: dict[str, str]) -> list[
     if not names:
         raise _bad(source, "system", f"slices of the system {system[:40]!r}")
     incident, outgoing = names[:-2], names[-2:]
-    with _refusing(source):
-        parts = _parts(source, pixels=True)
-        light = np.array([[float(part.header[PREFIX + name]) for name in incident] for part in parts])
-        for name in incident:
-            said.pop(name, None)
-        axes = {name: np.array(json.loads(said.pop(name)), np.float64) for name in outgoing}
+    axes: dict[str, FloatArray] = {}
+    stream = _Stream(source.data)
+    with _refusing(source, stream):
+        parts = _parts(stream, pixels=True)
+    light = np.empty((len(parts), len(incident)))
+    for k, name in enumerate(incident):
+        with _refusing(source, column=PREFIX + name):
+            light[:, k] = [float(part.header[PREFIX + name]) for part in parts]
+        said.pop(name, None)
+    for name in outgoing:
+        with _refusing(source, column=PREFIX + name):
+            axes[name] = np.array(json.loads(said.pop(name)), np.float64)
+    with _refusing(source, column=PREFIX + "pixels"):
         labels: dict[str, str] = dict(json.loads(said.pop("pixels")))
     for k, name in enumerate(incident):
         axes[name] = np.unique(light[:, k])
@@ -138,10 +171,10 @@ def _slices(source: Source, options: ReadOptions, said: dict[str, str]) -> list[
     expected = np.stack([c.reshape(-1) for c in mesh], axis=1)
     if any(axis.ndim != 1 for axis in axes.values()) or not np.array_equal(light[order], expected):
         raise _bad(source, "theta_i", "slices that are not those of a grid of incidences")
-    with _refusing(source):
-        pixels = {
-            label: np.stack([parts[k].channels[name].pixels for k in order]) for label, name in labels.items()
-        }
+    pixels: dict[str, NDArray[Any]] = {}
+    for label, name in labels.items():
+        with _refusing(source, column=str(name)[:40]):
+            pixels[label] = np.stack([parts[k].channels[name].pixels for k in order])
     if any(array.shape != (len(parts), *shape[-2:]) for array in pixels.values()):
         raise _bad(source, outgoing[0], "pictures of another size than their angles")
     variables = [_variable(f"{name}_rad", (name,), axes[name]) for name in names]

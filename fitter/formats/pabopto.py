@@ -69,9 +69,9 @@ def together(sources: Sequence[Source], options: ReadOptions) -> list[Table]:
         if len(part.values):
             groups.setdefault((part.name, part.side), []).append(part)
     if not groups:
-        raise sources[0].error(
+        raise sources[0].no_table(
             "all rows are on the side away from the light: transmission", "table-transmission",
-            remedy="use the files of the same sample's reflection",
+            "transmission", remedy="use the files of the same sample's reflection",
         )  # fmt: skip
     sides = {side for _, side in groups}
     return [_table(group, options, side if len(sides) > 1 else None) for (_, side), group in groups.items()]
@@ -220,6 +220,7 @@ def _table(group: Sequence[_Part], options: ReadOptions, item: str | None) -> Ta
     reading = Reading(
         NAME, quantity, np.concatenate([part.values for part in group]), channels, name=first.name,
         item=item, provenance=dict(first.keys) if len(group) == 1 else {}, notes=tuple(notes),
+        angle_unit="deg",
     )  # fmt: skip
     table = assemble(first.source, options, reading, geometry, geo.find_grid(geometry))
     if len(group) == 1:

@@ -75,7 +75,7 @@ class Columns:
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """Tables of a Parquet file: one, or one for each wavelength or item where a column tells them apart."""
     source.begin_digest()
-    with refusing(source):
+    with refusing(source, offset=_footer(source)):
         file = _open(source)
         schema, metadata = file.schema_arrow, file.metadata
         rows, names = int(metadata.num_rows), list(schema.names)
@@ -84,12 +84,13 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if rows < 1 or not names or sum(groups) != rows or min(groups) < 0:
         raise source.error(
             f"the file states {rows:,} rows of {len(names)} columns in {len(groups)} groups", "table-empty",
-            remedy="check that it is whole",
+            offset=_footer(source), remedy="check that it is whole",
         )  # fmt: skip
     if rows * len(names) * 8 > LARGEST:
         raise source.error(
             f"the file states {rows:,} rows of {len(names)} columns, more than {LARGEST / 1e9:.1f} GB",
-            "table-too-large", remedy="write the columns of one table only, divide it, or use --out-of-core",
+            "table-too-large", offset=_footer(source),
+            remedy="write the columns of one table only, divide it, or use --out-of-core",
         )  # fmt: skip
     refuse_same_names(source, names)
     columns = Columns(source, names, range(1, rows + 1))
@@ -132,9 +133,18 @@ def _open(source: Source) -> Any:
     return parquet.ParquetFile(arrow.BufferReader(arrow.py_buffer(source.buffer)), pre_buffer=False)
 
 
+def _footer(source: Source) -> int:
+    """The byte at which the file's footer begins: its schema, and where its columns are."""
+    end = max(source.size - 8, 0)
+    length = int.from_bytes(bytes(source.buffer[end : end + 4]), "little")
+    return end - length if length <= end else end
+
+
 @contextmanager
-def refusing(source: Source, column: str | None = None) -> Generator[None]:
-    """Turn what pyarrow raises at damaged bytes into a TableError."""
+def refusing(
+    source: Source, column: str | None = None, offset: int | None = None
+) -> Generator[None]:
+    """Turn what pyarrow raises at damaged bytes into a TableError that names the column, or the byte."""
     from pyarrow import ArrowException
 
     try:
@@ -143,7 +153,7 @@ def refusing(source: Source, column: str | None = None) -> Generator[None]:
         reason = str(error).partition("\n")[0][:160]
         raise source.error(
             f"the Parquet file can't be read: {reason}", "table-truncated", column=column,
-            cause="the file is cut off, damaged or encrypted", remedy="fetch the file again",
+            offset=offset, cause="the file is cut off, damaged or encrypted", remedy="fetch the file again",
         ) from error  # fmt: skip
 
 

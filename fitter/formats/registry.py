@@ -62,6 +62,12 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
 )
 
 
+def _first_foreign(head: bytes) -> int:
+    """The first byte that no text has, where 64 or more of a text come before it; else 0."""
+    found = re.search(rb"[\x00-\x08\x0e-\x1f\x7f-\xff]", head)
+    return found.start() if found is not None and found.start() >= 64 else 0
+
+
 @cache
 def formats() -> tuple[Format, ...]:
     """All registered formats, by name."""
@@ -97,13 +103,14 @@ def detect(source: Source) -> Format:
         for signature, what in _FOREIGN:
             if re.match(signature, head, re.MULTILINE):
                 raise source.error(
-                    f"the file is {what}", "table-unknown-format",
+                    f"the file is {what}", "table-unknown-format", offset=0,
                     remedy=f"convert it to one of: {', '.join(entry.name for entry in formats())}",
                 )  # fmt: skip
     if score == 0:
+        at = _first_foreign(head)
         raise source.error(
-            "the bytes are no table this program knows", "table-unknown-format",
-            cause="binary data of another kind, or a damaged file",
+            f"the bytes ({head[at : at + 8].hex(' ')} ...) are no table this program knows",
+            "table-unknown-format", offset=at, cause="binary data of another kind, or a damaged file",
             remedy=f"use one of: {', '.join(entry.name for entry in formats())}",
         )  # fmt: skip
     return best

@@ -63,7 +63,7 @@ def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometr
         NAME, quantity, values, channels, usable=_measured(source, found, adaptive, len(values)),
         symmetry="isotropic" if adaptive.isotropic else "anisotropic", name=stated[:_LONGEST_NAME],
         provenance={"description": stated, "shape": list(adaptive.data.shape)}, notes=tuple(notes),
-        text=False,
+        text=False, angle_unit="rad",
     )  # fmt: skip
     return reading, geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic)
 
@@ -118,12 +118,12 @@ def adaptive_of(source: Source, found: Fields) -> tuple[Adaptive, list[Channel]]
         data=found[key].reshape(-1, *shapes[key][2:]), jacobian=bool(found["jacobian"][0]),
     )  # fmt: skip
     if (adaptive.sigma == 0).any():
-        raise _unfit(source, "sigma", "is 0 somewhere", "a projected area is positive")
+        at = _first(adaptive.sigma == 0)
+        raise _unfit(source, "sigma", f"is 0 at index {at}", "a projected area is positive")
     try:
         _ = adaptive.warp
-    except ValueError:
-        reason = "a density has a finite, positive integral"
-        raise _unfit(source, "vndf", "is 0 or too large at an incidence", reason) from None
+    except ValueError as error:
+        raise _unfit(source, "vndf", "is 0 or too large at an incidence", str(error)) from None
     return adaptive, _channels(source, found, key)
 
 
@@ -133,8 +133,11 @@ def _channels(source: Source, found: Fields, key: str) -> list[Channel]:
     stored = found["wavelengths"]
     with np.errstate(invalid="ignore"):
         wavelengths = np.asarray(stored, np.float64)
-    if not (np.isfinite(wavelengths).all() and (wavelengths > 0).all() and (np.diff(wavelengths) > 0).all()):
-        raise _unfit(source, "wavelengths", "are not increasing positive numbers", "they are nanometres")
+    with np.errstate(invalid="ignore"):
+        wrong = ~(np.isfinite(wavelengths) & (np.diff(wavelengths, prepend=0.0) > 0))
+    if wrong.any():
+        at = _first(wrong)
+        raise _unfit(source, "wavelengths", f"is {wavelengths[at]:g} at index {at}", "nanometres increase")
     # The shortest number that is the stored one: 633.1, not the nearest float32 with all its digits.
     texts = [np.format_float_positional(nm, trim="-") for nm in stored]
     return [Channel(f"{text}nm", float(text)) for text in texts]
@@ -145,9 +148,12 @@ def _angles(source: Source, found: Fields, name: str, low: float, high: float) -
     with np.errstate(invalid="ignore"):
         angles = np.asarray(found[name], np.float64)
     inside = (angles >= low - 1e-6) & (angles <= high + 1e-6)
-    if not (np.isfinite(angles).all() and inside.all() and (np.diff(angles) > 0).all()):
+    with np.errstate(invalid="ignore"):
+        wrong = ~inside | np.append(False, ~(np.diff(angles) > 0))
+    if wrong.any():
+        at = _first(wrong)
         raise _unfit(
-            source, name, f"goes from {angles[0]:g} to {angles[-1]:g}",
+            source, name, f"is {angles[at]:g} at index {at}",
             f"angles increase and lie between {low:.4g} and {high:.4g} rad",
         )  # fmt: skip
     return angles
@@ -157,9 +163,10 @@ def _image(source: Source, found: Fields, name: str) -> NDArray[np.floating]:
     values = found[name]
     if values.dtype.kind != "f":
         values = values.astype(np.float64)
-    if not np.isfinite(values).all() or (values < 0).any():
-        reason = "it is a density or an area"
-        raise _unfit(source, name, "holds values that are negative or not finite", reason)
+    wrong = ~np.isfinite(values) | (values < 0)
+    if wrong.any():
+        at, reason = _first(wrong), "it is a density or an area"
+        raise _unfit(source, name, f"is {values[at]:g} at index {at}", reason)
     return values
 
 
@@ -170,6 +177,11 @@ def _measured(source: Source, found: Fields, adaptive: Adaptive, count: int) -> 
     if flags.size != count:
         raise _unfit(source, MEASURED, f"has the shape {flags.shape}", f"there are {count} samples")
     return np.asarray(flags.reshape(-1) != 0)
+
+
+def _first(wrong: NDArray[np.bool_]) -> tuple[int, ...]:
+    """The index of the first True."""
+    return tuple(int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
 
 
 def _unfit(source: Source, name: str, wrong: str, reason: str) -> Exception:

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from fitter.digest import Digest, digest_of
-from fitter.errors import TableError
+from fitter.errors import NoTable, TableError
 
 #: Bytes that are looked at to tell the format.
 HEAD = 1 << 16
@@ -174,6 +174,11 @@ class Source:
     def error(self, message: str, code: str, **keywords: Any) -> TableError:
         """A TableError that names this file."""
         return TableError(message, code=code, file=self.name, **keywords)
+
+    def no_table(self, message: str, code: str, holds: str, **keywords: Any) -> NoTable:
+        """An error for what holds no BRDF but what ``holds`` says; ``contents`` may tell more of it."""
+        contents: dict[str, Any] = {"holds": holds, **keywords.pop("contents", {})}
+        return NoTable(message, code=code, file=self.name, contents=contents, **keywords)
 
 
 def _row_of(before: bytes) -> int:

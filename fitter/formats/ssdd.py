@@ -99,9 +99,9 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
             cause="the file is cut off", remedy="fetch the file again",
         )  # fmt: skip
     if found is None:
-        raise source.error(
-            f"the file holds {', '.join(skipped)} and no brdf", "table-transmission", column="DATA_TYPE",
-            remedy="use the file of the same sample's reflection",
+        raise source.no_table(
+            f"the file holds {', '.join(skipped)} and no brdf", "table-transmission", ", ".join(skipped),
+            column="DATA_TYPE", remedy="use the file of the same sample's reflection",
         )  # fmt: skip
     return [_table(source, options, head, *found, skipped)]
 
@@ -217,7 +217,7 @@ def _data(source: Source, data: bytes, cursor: _Cursor, block: _Block, mode: str
             return values.reshape(count, width)
     raise source.error(
         f"the values of the block don't fit {count} x {width} binary numbers", "table-truncated",
-        row=cursor.row, **cut,
+        row=cursor.row, offset=cursor.at, **cut,
     )  # fmt: skip
 
 
@@ -267,7 +267,7 @@ def _table(
         notes.append(TRISTIMULUS)
     reading = Reading(
         NAME, quantity, values, block.channels, symmetry="isotropic" if isotropic else "anisotropic",
-        name=block.keys.get("NAME", ""), notes=(*notes, *against),
+        name=block.keys.get("NAME", ""), notes=(*notes, *against), angle_unit="deg",
         provenance={**head, **{k: t for k, t in block.keys.items() if not k.endswith("LIST")}},
     )  # fmt: skip
     return assemble(source, options, reading, geometry, geo.find_grid(geometry))

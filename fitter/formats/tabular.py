@@ -208,6 +208,7 @@ def _table(
         sigma=np.stack([numbers[sigmas[c.channel]] for _, c in values]).T if sigmas else None,
         usable=usable, symmetry=symmetry, name=head.stated.get("name", ""), item=part.item,
         provenance=_provenance(head), statements=head.statements(), notes=(*head.notes, *notes), text=text,
+        angle_unit=", ".join(sorted({columns[k].unit or "" for k in by_role.values()} - {""})),
     )  # fmt: skip
     given = {role: numbers[k] for role, k in by_role.items()}
     numbers.clear()
@@ -225,7 +226,7 @@ def _table(
         )  # fmt: skip
         angles.clear()
     grid = _grid(source, head, geometry, symmetry)
-    return assemble(source, options, reading, replace(geometry, coordinates={}), grid)
+    return assemble(source, options, reading, replace(geometry, coordinates={}), grid, copy=False)
 
 
 def _grid(source: Source, head: Head, geometry: geo.Geometry, symmetry: Symmetry | None) -> Any:

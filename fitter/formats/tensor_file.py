@@ -38,26 +38,26 @@ def fields(source: Source) -> dict[str, NDArray[Any]]:
     """
     data, at = source.buffer, _HEAD.size
     if len(data) < at:
-        raise _cut(source, "the header", "header")
+        raise _cut(source, "the header", "header", 0)
     _, major, minor, count = _HEAD.unpack_from(data)
     if (major, minor) != VERSION:
         raise source.error(
             f"the tensor file has version {major}.{minor}", "table-header", column="version",
-            cause="a newer kind of file, or a damaged one", remedy="use a file of version 1.0",
+            offset=12, cause="a newer kind of file, or a damaged one", remedy="use a file of version 1.0",
         )  # fmt: skip
     found: dict[str, NDArray[Any]] = {}
     for k in range(count):
-        what = f"the description of field {k + 1} of {count}"
+        what, start = f"the description of field {k + 1} of {count}", at
         if at + 2 > len(data):
-            raise _cut(source, what, "header")
+            raise _cut(source, what, "header", at)
         (length,) = struct.unpack_from("<H", data, at)
         if at + length + 13 > len(data):
-            raise _cut(source, what, "header")
+            raise _cut(source, what, "header", start)
         name = bytes(data[at + 2 : at + 2 + length]).decode(errors="replace")
         dimensions, kind, offset = struct.unpack_from("<HBQ", data, at + 2 + length)
         at += length + 13
         if at + 8 * dimensions > len(data):
-            raise _cut(source, what, "header")
+            raise _cut(source, what, "header", start)
         shape: tuple[int, ...] = struct.unpack_from(f"<{dimensions}Q", data, at)
         at += 8 * dimensions
         if name in found or kind not in _TYPES or dimensions > _MOST_DIMENSIONS or 0 in shape:
@@ -67,13 +67,13 @@ def fields(source: Source) -> dict[str, NDArray[Any]]:
                 else f"has the shape {shape[:8]}"
             )  # fmt: skip
             raise source.error(
-                f"the field {name[:40]!r} {wrong}", "table-header", column=name[:40], cause="a damaged file",
-                remedy="fetch the file again",
+                f"the field {name[:40]!r} {wrong}", "table-header", column=name[:40], offset=start,
+                cause="a damaged file", remedy="fetch the file again",
             )  # fmt: skip
         dtype = np.dtype(_TYPES[kind])
         size = math.prod(shape)
         if offset + size * dtype.itemsize > len(data):
-            raise _cut(source, f"the field {name[:40]!r} {shape[:8]}", name[:40])
+            raise _cut(source, f"the field {name[:40]!r} {shape[:8]}", name[:40], start)
         found[name] = np.frombuffer(data, dtype, size, offset).reshape(shape)
     return found
 
@@ -98,8 +98,8 @@ def tensor_bytes(arrays: Mapping[str, NDArray[Any]]) -> Iterator[bytes]:
         yield array.tobytes()
 
 
-def _cut(source: Source, what: str, field: str) -> Exception:
+def _cut(source: Source, what: str, field: str, at: int) -> Exception:
     return source.error(
         f"the file ends inside {what}: it has {source.size:,} bytes", "table-truncated", column=field,
-        cause="the file is cut off, or its header is damaged", remedy="fetch the file again",
+        offset=at, cause="the file is cut off, or its header is damaged", remedy="fetch the file again",
     )  # fmt: skip

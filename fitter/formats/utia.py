@@ -47,6 +47,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
     if len(source.buffer) != SIZE:
         raise source.error(
             f"the file has {len(source.buffer):,} bytes and a UTIA file {SIZE:,}", "table-truncated",
+            offset=min(len(source.buffer), SIZE),
             cause="the file was changed while it was read", remedy="fetch the file again",
         )  # fmt: skip
     return [_table(source, options, np.frombuffer(source.buffer, "<f8"), quantity, notes)]

@@ -64,7 +64,7 @@ def lookup_blend(images: NDArray[np.floating], blend: Blend, x: FloatArray, y: F
 class Warp:
     """The warps of K densities, each of which is scaled to unit integral.
 
-    Raises ValueError for a density that has no finite, positive integral.
+    Raises ValueError for a density that has no finite, positive integral, which it numbers from 0.
     """
 
     def __init__(self, density: NDArray[np.floating]) -> None:
@@ -77,7 +77,7 @@ class Warp:
             with np.errstate(over="ignore", invalid="ignore"):
                 total = _cumulated(_cumulated(values)[:, -1])[-1]
             if not (np.isfinite(total) and total > 0):
-                raise ValueError("a density has no finite, positive integral")
+                raise ValueError(f"density {k} has no finite, positive integral")
             self._density[k] = values / total
             self._along_x[k] = _cumulated(self._density[k])
         self._along_y = _cumulated(self._along_x[..., -1])

@@ -76,11 +76,15 @@ def layers_of(source: Source) -> tuple[list[Layer], list[str]]:
         if chromaticity:
             notes.append(f"{chromaticity} blocks hold chromaticities ({', '.join(_CHROMATICITY)}): not read.")
     if not any(layer.blocks for layer in layers):
+        remedy = "use a file that has Reflection Front or Reflection Back blocks"
+        if transmission:
+            raise source.no_table(
+                f"the file holds transmission only ({transmission} blocks)", "table-transmission",
+                "transmission", column="WavelengthDataDirection", remedy=remedy,
+            )  # fmt: skip
         raise source.error(
-            f"the file holds transmission only ({transmission} blocks)" if transmission
-            else "the file holds no scattering data", "table-transmission" if transmission else "table-empty",
-            remedy="use a file that has Reflection Front or Reflection Back blocks",
-        )  # fmt: skip
+            "the file holds no scattering data", "table-empty", row=root.row, remedy=remedy
+        )
     if transmission:
         notes.insert(0, f"{transmission} transmission blocks are in the file: not read.")
     return layers, notes

@@ -93,7 +93,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
         if wavelength is not None:
             notes.append(f"The wavelength, {wavelength:g} nm, is from the comments.")
     reading = Reading(
-        NAME, quantity, values.reshape(-1, len(wanted)), channels,
+        NAME, quantity, values.reshape(-1, len(wanted)), channels, angle_unit="deg",
         filled=trailing_zeros(values, -2).reshape(-1),
         symmetry="isotropic" if len(rotation) == 1 else "anisotropic",
         provenance={**head.words, "comments": [c for c in tokens.comments if c.strip("=- ")], "TIS": tis},
@@ -114,9 +114,9 @@ def _head(tokens: Tokens) -> _Head:
         if key in _WORDS:
             head.words[key] = tokens.chosen(key, _WORDS[key])
             if head.words[key] == "BTDF":
-                raise tokens.error(
-                    "the file holds transmission (BTDF)", "table-transmission", column=key,
-                    remedy="use the file of the same sample's reflection (BRDF)",
+                raise tokens.source.no_table(
+                    "the file holds transmission (BTDF)", "table-transmission", "transmission",
+                    row=tokens.row, column=key, remedy="use the file of the same sample's reflection (BRDF)",
                 )  # fmt: skip
         elif key in _LISTS:
             head.lists[key] = tokens.angles(key, _LISTS[key])

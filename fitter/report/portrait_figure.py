@@ -310,7 +310,7 @@ def _radius(value: float, low: float, high: float, log: bool) -> float:
 def _ticks(low: float, high: float, log: bool) -> list[float]:
     if log:
         first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
-        powers = [10.0**k for k in range(first, last + 1, 1 + (last - first) // 5)]
+        powers = [10.0**k for k in range(first, last + 1, 1 + max(last - first, 0) // 5)]
         return powers if len(powers) > 1 else [low, math.sqrt(low * high), high]
     step = 10.0 ** math.floor(math.log10(high))
     step = next(step * s for s in (0.1, 0.2, 0.25, 0.5, 1.0, 2.0) if high / (step * s) <= 5.5)

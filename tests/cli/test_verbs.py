@@ -33,6 +33,22 @@ def test_info(run: Run, plaster: Path) -> None:
     assert "specular side" in text
 
 
+def test_info_of_what_is_no_brdf(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "mirror.sdr"
+    path.write_text("Source Measured\nTypeColorModel bw\nsigma 2\n0 60\nbw def 0.04 0.09 enddef\n")
+    document = run("info", path, "--json").document
+    assert (document["kind"], document["holds"]) == ("brdf-fitter/no-table", "specular reflectance")
+    assert document["channels"][0]["specular_reflectance"] == [0.04, 0.09]
+    shown = run("info", path)
+    assert shown.status == 0
+    assert "specular reflectance" in shown.out
+    assert "0.09" in shown.out
+    refused = run("fit", path, "--model", "ward", "--json")
+    assert refused.status == 2
+    assert refused.document["error"]["code"] == "table-specular-only"
+    assert "no BRDF" in refused.document["error"]["message"]
+
+
 def test_info_of_a_folder(run: Run, tmp_path: Path) -> None:
     run("datasets", "copy", "diffuse_plaster", "glossy_paint", "--out", tmp_path)
     document = run("info", tmp_path, "--json").document

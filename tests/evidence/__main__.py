@@ -13,7 +13,7 @@ from fitter.documents import write_bytes
 from fitter.errors import FitterError
 from fitter.spec import model_spec
 from tests.evidence import page
-from tests.evidence.running import run
+from tests.evidence.running import merged, run
 from tests.evidence.study import studies
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,8 +27,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--study", action="append", choices=known, help="only this one")
     parser.add_argument("--share", type=float, default=1.0, help="of the points of a full run")
     parser.add_argument("--seed", default=str(SEED), help="a number, or fresh (default: %(default)s)")
-    parser.add_argument("--write", action="store_true", help="write docs/evidence.json and docs/evidence.md")
+    parser.add_argument(
+        "--write", action="store_true",
+        help="write docs/evidence.json and docs/evidence.md, where studies that were not run stay",
+    )  # fmt: skip
     given = parser.parse_args(words)
+    if given.write and given.names:
+        parser.error("--write takes whole studies: leave MODEL out")
     seed = secrets.randbelow(2**32) if given.seed == "fresh" else int(given.seed)
     try:
         names = [model_spec(name).name for name in given.names]
@@ -39,12 +44,12 @@ def main(words: Sequence[str] | None = None) -> int:
     document = run(chosen, names, given.share, seed)
     print("\n".join(page.lines(document)))
     if given.write:
-        write_bytes((json.dumps(document, indent=1) + "\n").encode(), ROOT / "docs" / "evidence.json")
-        write_bytes(
-            "\n".join([*page.head(), *page.lines(document), ""]).encode(), ROOT / "docs" / "evidence.md"
-        )
+        path = ROOT / "docs" / "evidence.json"
+        whole = merged(json.loads(path.read_text()), document) if path.exists() else document
+        write_bytes((json.dumps(whole, indent=1) + "\n").encode(), path)
+        write_bytes("\n".join([*page.head(), *page.lines(whole)]).encode(), path.with_suffix(".md"))
     broken = sum(len(row["violations"]) for study in document["studies"] for row in study["rows"])
-    print(f"\nseed {seed}, {document['seconds']:.0f} s: {broken or 'no'} violation(s)", file=sys.stderr)
+    print(f"\nseed {seed}: {broken or 'no'} violation(s)", file=sys.stderr)
     return 1 if broken else 0
 
 

@@ -92,7 +92,7 @@ def judge(name: str, share: float, seed: int) -> Outcome:
         {
             "mutations": outcomes["table"] + outcomes["error"] + outcomes["fault"],
             "of measured files": outcomes["measured"], "tables": outcomes["table"],
-            "typed errors": outcomes["error"], "with row, column or option": placed,
+            "typed errors": outcomes["error"], "with a place in it": placed,
             "faults": outcomes["fault"], "longest, s": worst["seconds"], "memory over bound": worst["over"],
         },
         violations,
@@ -109,7 +109,7 @@ STUDY = Study(
         "for small files)"
     ),
     columns=(
-        "mutations", "of measured files", "tables", "typed errors", "with row, column or option", "faults",
+        "mutations", "of measured files", "tables", "typed errors", "with a place in it", "faults",
         "longest, s", "memory over bound",
     ),
     models=formats,

@@ -14,28 +14,30 @@ def head() -> list[str]:
         "",
         "The long studies of the models and the formats, as `make evidence` runs them. The same figures with",
         "every setting are in [evidence.json](evidence.json); the studies are in `tests/evidence`.",
-        "",
     ]
 
 
 def lines(document: Mapping[str, Any]) -> list[str]:
-    """Where, when and with what; then one table for each study, and what broke its bound."""
-    machine, versions = document["machine"], document["versions"]
-    commit = str(document["commit"] or "unknown")[:12]
-    changed = ", with uncommitted changes" if document["uncommitted_changes"] else ""
-    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
-    found = [
-        f"Run {document['created'][:10]} on {machine['cpu']}, {machine['cores']} cores, "
-        f"{machine['memory_gb']} GB, {machine['system']}; seed {document['seed']}, "
-        f"share {document['share']:g}, {document['seconds']:.0f} s.",
-        "",
-        f"Commit {commit}{changed}. {listed}.",
-    ]
+    """For each study where, when and with what it was run, a table, and what broke its bound."""
+    found: list[str] = []
     for study in document["studies"]:
         found += ["", f"## {study['title']}", "", f"{study['claim']}.", "", *table(study), *_skipped(study)]
         for row in study["rows"]:
             found += [f"- {row['model']}: {_sentence(one)}" for one in row["violations"]]
+        found += [*_run(study["run"]), ""]
     return found
+
+
+def _run(run: Mapping[str, Any]) -> list[str]:
+    machine = run["machine"]
+    commit = str(run["commit"] or "unknown")[:12]
+    changed = ", with uncommitted changes" if run["uncommitted_changes"] else ""
+    listed = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
+    return [
+        f"Run {run['created'][:10]} on {machine['cpu']}, {machine['cores']} cores, "
+        f"{machine['memory_gb']} GB, {machine['system']}; seed {run['seed']}, share {run['share']:g}, "
+        f"{run['seconds']:.0f} s with the studies run together. Commit {commit}{changed}; {listed}.",
+    ]
 
 
 def table(study: Mapping[str, Any]) -> list[str]:

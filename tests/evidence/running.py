@@ -32,19 +32,28 @@ def run(chosen: Sequence[Study], names: Sequence[str], share: float, seed: int) 
         print(f"{study.name}: {name}: {state}, {row['seconds']:.0f} s", file=sys.stderr, flush=True)
         for one in row["violations"]:
             print(f"    {one}", file=sys.stderr, flush=True)
+    about = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"), "share": share, "seed": seed,
+        "seconds": time.perf_counter() - began, **machine.describe(),
+    }  # fmt: skip
     return {
-        "kind": KIND, "version": 1, "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "share": share, "seed": seed, "seconds": time.perf_counter() - began, **machine.describe(),
+        "kind": KIND, "version": 2,
         "studies": [
             {
                 "name": study.name, "title": study.title, "claim": study.claim, "columns": study.columns,
-                "subject": study.subject,
+                "subject": study.subject, "run": about,
                 "skipped": {} if names else dict(study.skipped),
                 "rows": [rows[study.name][name] for one, name in work if one is study],
             }
             for study in chosen
         ],
     }  # fmt: skip
+
+
+def merged(before: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any]:
+    """``document`` with the studies of an earlier one that were not run again."""
+    found = {study["name"]: study for one in (before, document) for study in one["studies"]}
+    return {**document, "studies": [found[name] for name in studies() if name in found]}
 
 
 def _rows(

@@ -15,6 +15,7 @@ from fitter.spec import model_spec
 from tests.evidence import domain, page, precision
 from tests.evidence.differences import gradient
 from tests.evidence.reference import DIGITS
+from tests.evidence.running import merged
 from tests.evidence.study import studies
 
 
@@ -107,3 +108,22 @@ def test_studies_are_found_by_name_and_their_page_has_their_figures():
     }  # fmt: skip
     text = "\n".join([*page.table(study)])
     assert "| ward | 1,500 | 0.0312 | 1 | 1 |" in text
+
+
+def test_studies_that_are_not_run_again_keep_their_figures():
+    def study(name: str, seed: int) -> dict[str, Any]:
+        machine = {"cpu": "c", "cores": 2, "memory_gb": 1.0, "system": "s"}
+        run = {
+            "created": "2026-01-01T00:00:00", "share": 1.0, "seed": seed, "seconds": 2.0, "machine": machine,
+            "versions": {"numpy": "2"}, "commit": "abc", "uncommitted_changes": False,
+        }  # fmt: skip
+        empty = {"columns": [], "skipped": {}, "rows": []}
+        return {"name": name, "title": name, "claim": "c", "run": run, **empty}
+
+    before = {"version": 2, "studies": [study("fuzz", 1), study("precision", 2)]}
+    found = merged(before, {"version": 2, "studies": [study("chi_square", 3), study("fuzz", 4)]})
+    assert [(one["name"], one["run"]["seed"]) for one in found["studies"]] == [
+        ("chi_square", 3), ("fuzz", 4), ("precision", 2)
+    ]  # fmt: skip
+    text = "\n".join(page.lines(found))
+    assert [text.index(f"seed {k}") for k in (3, 4, 2)] == sorted(text.index(f"seed {k}") for k in (2, 3, 4))

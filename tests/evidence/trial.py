@@ -92,7 +92,7 @@ def read(one: Input, sources: Sequence[BytesIO]) -> list[Table]:
 
 def _placed(error: TableError) -> bool:
     """Whether the error says where in the file, not only which file."""
-    return bool({"row", "column", "parameter"} & set(error.where()))
+    return bool({"row", "column", "offset", "parameter"} & set(error.where()))
 
 
 def _of_error(error: TableError, one: Input) -> list[str]:

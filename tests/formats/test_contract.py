@@ -55,6 +55,9 @@ def test_describe_is_json(sample: Sample):
     document = describe(load(sample.data))
     json.dumps(document, allow_nan=False)
     assert document["usable"] + sum(document["masked"].values()) == document["samples"]
+    # Those of cells, trees of patches and vectors are nobody's unit.
+    without = ("merl", "mbsdf", "tensor-tree")
+    assert document["angle_unit"] in (("",) if sample.name in without else ("deg", "rad"))
 
 
 def test_describe_incidences_between_two_degrees():
@@ -180,6 +183,11 @@ def test_fuzz(sample: Sample):
     assert good
     assert broken
     assert all(error.code and error.file == "fuzz.dat" and str(error) for error in broken)
+    # Where in the file, too, unless it is all of it.
+    unplaced = {error.code for error in broken if set(error.where()) == {"file"}}
+    assert unplaced <= {"table-empty", "table-nothing-usable"}
+    # A piece that was doubled makes the file twice as long at most.
+    assert all(0 <= error.offset <= 2 * len(sample.data) for error in broken if error.offset is not None)
 
 
 class TestSeveral:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from fitter import directions
-from fitter.errors import TableError
+from fitter.errors import NoTable, TableError
 from fitter.formats import load, load_all
 from fitter.table import Channel
 from tests.formats.samples import integra_bytes, lighttools_bytes, ssdd_bytes
@@ -59,6 +61,16 @@ class TestLightTools:
             assert caught.value.row == row
 
 
+SDR = b"""; made up
+Source Measured
+TypeColorModel spectral 2
+sigma 3
+0 45 80
+wl 450 def 0.04 0.05 0.4 enddef
+wl 550 def 0.03 nan 0.5
+"""
+
+
 class TestIntegra:
     def test_luminance_and_intensity(self):
         table = load(integra_bytes())
@@ -91,7 +103,7 @@ class TestIntegra:
         [
             (b"Absolute", b"Relative", 11, "table-quantity"),
             (b"TypeData Luminance Absolute\n", b"", None, "table-quantity"),
-            (b"phi 3\n0 90 180\ntheta 3\n0 20 40\n", b"", None, "table-specular-only"),
+            (b"phi 3\n0 90 180\ntheta 3\n0 20 40\n", b"", 9, "table-header"),
             (b"sigma 2", b"sigma 3", 8, "table-not-a-number"),
             (b"\ngre", b"\nred", 22, "table-header"),
             (b"\nblu", b"\nbw", None, "table-header"),
@@ -108,10 +120,42 @@ class TestIntegra:
         if row is not None:
             assert caught.value.row == row
 
+    def test_blocks_may_be_ended(self):
+        ended = integra_bytes().replace(b"\ngre", b"\n enddef\ngre").replace(b"\nblu", b"\nenddef\nblu")
+        assert load(ended + b" enddef\n").hash == load(integra_bytes()).hash
+
     def test_transmission_by_its_name(self):
-        with pytest.raises(TableError) as caught:
+        with pytest.raises(NoTable) as caught:
             load(integra_bytes(), name="film.DDT")
         assert caught.value.code == "table-transmission"
+        assert caught.value.contents == {"holds": "transmission"}
+
+    def test_specular_reflectance_is_told(self):
+        with pytest.raises(NoTable) as caught:
+            load(SDR, name="mirror.sdr")
+        error = caught.value
+        assert (error.code, error.column) == ("table-specular-only", "sigma")
+        assert error.contents == {
+            "holds": "specular reflectance", "theta_i_deg": pytest.approx([0, 45, 80]), "Source": "Measured",
+            "TypeColorModel": "spectral", "comments": ["made up"],
+            "channels": [
+                {"name": "450nm", "wavelength_nm": 450.0, "specular_reflectance": [0.04, 0.05, 0.4]},
+                {"name": "550nm", "wavelength_nm": 550.0, "specular_reflectance": [0.03, None, 0.5]},
+            ],
+        }  # fmt: skip
+        assert json.loads(json.dumps(error.to_dict()))["contents"]["holds"] == "specular reflectance"
+        with pytest.raises(NoTable, match="transmittance"):
+            load(SDR, name="film.sdt")
+
+    @pytest.mark.parametrize(
+        ("old", "new", "row"),
+        [(b"0.4 ", b"0.x ", 6), (b"550", b"-5", 7), (b" 0.5", b"", 7), (b"l 2", b"l 3", 7)],
+    )
+    def test_damaged_specular_reflectance(self, old: bytes, new: bytes, row: int):
+        with pytest.raises(TableError) as caught:
+            load(SDR.replace(old, new, 1), name="mirror.sdr")
+        assert not isinstance(caught.value, NoTable)
+        assert caught.value.row == row
 
 
 class TestSsdd:

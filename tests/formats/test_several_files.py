@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from fitter import directions
-from fitter.errors import TableError
+from fitter.errors import NoTable, TableError
 from fitter.formats import load, load_all
-from tests.formats.samples import curet_files, pabopto_bytes
+from tests.formats.samples import curet_files, integra_bytes, pabopto_bytes
 from tests.formats.test_contract import mutations
 
 
@@ -164,3 +164,17 @@ class TestPabOpto:
         with pytest.raises(TableError) as caught:
             load(text.encode())
         assert caught.value.code == "table-transmission"
+
+
+def test_what_holds_no_brdf_is_left_out_beside_tables(tmp_path: Path):
+    (tmp_path / "a.ddr").write_bytes(integra_bytes())
+    for name in ("b.ddt", "c.ddt"):
+        (tmp_path / name).write_bytes(integra_bytes())
+    (table,) = load_all(tmp_path)
+    assert table.metadata.name == "a"
+    told = [note for note in table.metadata.notes if "not read" in note]
+    assert told == ["b.ddt holds transmission: not read.", "c.ddt holds transmission: not read."]
+    (tmp_path / "a.ddr").unlink()
+    with pytest.raises(NoTable) as caught:
+        load_all(tmp_path)
+    assert caught.value.file == "b.ddt"

@@ -154,6 +154,15 @@ def test_any_table_can_be_drawn(seed: int, count: int, plane: bool, scale: float
     assert png(made.plot()).startswith(PNG)
 
 
+def test_a_logarithmic_scale_may_hold_no_power_of_ten():
+    theta = np.deg2rad(np.linspace(0, 80, 17))
+    wi = np.broadcast_to(directions.vector_from_spherical(np.deg2rad(40.0), 0.0), (17, 3))
+    value = np.where(np.arange(17) == 8, 0.9, 0.13)
+    figure = Table(wi=wi, wo=directions.vector_from_spherical(theta, np.pi), value=value).plot()
+    assert "logarithmic" in texts(figure)
+    assert png(figure).startswith(PNG)
+
+
 @pytest.mark.measured
 @pytest.mark.parametrize(
     ("path", "options"),

@@ -14,6 +14,7 @@ from fitter.cli.values import output_folder
 from fitter.cli.verb import Outcome, Verb
 
 if TYPE_CHECKING:
+    from fitter.errors import NoTable
     from fitter.table import Table
 
 
@@ -35,11 +36,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
+    from fitter.errors import NoTable
     from fitter.formats import describe, load_all
     from fitter.quality import overview
 
     folder = None if given.plot is None else output_folder(given.plot, "plot")
-    tables = load_all(given.table, **reading.reading_options(given).to_dict())
+    try:
+        tables = load_all(given.table, **reading.reading_options(given).to_dict())
+    except NoTable as error:
+        return _of_no_table(error)
     described: list[dict[str, Any]] = [{**describe(table), **overview(table)} for table in tables]
     if folder is not None:
         for one, path in zip(described, _draw(tables, folder, screen), strict=True):
@@ -54,6 +59,31 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     if len(described) == 1:
         return Outcome({"kind": "brdf-fitter/table", **described[0]}, show)
     return Outcome({"kind": "brdf-fitter/tables", "tables": described}, show)
+
+
+def _of_no_table(error: NoTable) -> Outcome:
+    """What a file holds that is no BRDF: its fields, and what each channel has at each incidence."""
+    document = {
+        "kind": "brdf-fitter/no-table", "file": error.file, **error.contents, "message": error.message
+    }  # fmt: skip
+
+    def show(screen: Screen) -> None:
+        contents = dict(error.contents)
+        channels: list[dict[str, Any]] = contents.pop("channels", [])
+        incidences: list[float] = contents.pop("theta_i_deg", [])
+        screen.fields(_flat({"file": error.file, **contents}))
+        if channels:
+            lists = [next(one for one in channel.values() if isinstance(one, list)) for channel in channels]
+            rows = [
+                [number(theta, 6), *(number(one) for one in line)]
+                for theta, *line in zip(incidences, *lists, strict=True)
+            ]
+            screen.line()
+            screen.table(("theta_i deg", *(channel["name"] for channel in channels)), rows)
+        screen.line()
+        screen.line(f"- {error.message}; it can't be fitted. Instead: {error.remedy}.")
+
+    return Outcome(document, show)
 
 
 def _show(described: dict[str, Any], screen: Screen) -> None:
