@@ -70,6 +70,8 @@ class Interpolant(Protocol):
 
 def interpolant(table: Table) -> Interpolant:
     """The interpolant of ``table``, built on first use and kept with the table."""
+    if table.between is not None:
+        return table.between
     kept = vars(table)
     if "_interpolant" not in kept:
         if table.grid is not None:
