@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.arcs import inverted, moments
+from fitter.sampling.arcs import inverted, linear, moments
 from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, no_inversion, violated
 from fitter.sampling.spherical import SphericalField
 
@@ -164,7 +164,7 @@ class BilinearEnvelope:
         s = (
             inverted(s, f00 + f01, f10 + f11, theta0, height)
             if self._exact
-            else _linear(s, f00 + f01, f10 + f11)
+            else linear(s, f00 + f01, f10 + f11)
         )
         f10 -= f00
         f10 *= s
@@ -172,7 +172,7 @@ class BilinearEnvelope:
         f11 -= f01
         f11 *= s
         f01 += f11
-        t = _linear(t, f00, f01)
+        t = linear(t, f00, f01)
         envelope = f00 + t * (f01 - f00)
         theta = theta0 + s * height
         phi = self._phi.take(cell) + t * self._width.take(cell)
@@ -248,21 +248,3 @@ def _envelope(rectangles: FloatArray, corners: FloatArray) -> FloatArray:
     """(K,) integral of the envelope over each cell."""
     theta0, theta1, phi0, phi1 = rectangles.T
     return (theta1 - theta0) * (phi1 - phi0) * corners.mean(axis=1) * _steepest(theta0, theta1)
-
-
-def _linear(u: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Where in [0, 1] the integral of a + (b - a) x makes up the share ``u`` of the whole.
-
-    u (a + b)/(a + sqrt(a^2 + u (b^2 - a^2))), which does not cancel where b is close to a.
-    """
-    total = a + b
-    root = b - a
-    root *= total
-    root *= u
-    root += a * a
-    np.sqrt(root, out=root)
-    root += a
-    total *= u
-    # A cell whose values are 0 is never chosen; one whose first values are 0 has u = 0 at 0/0.
-    np.divide(total, root, out=total, where=root > 0)
-    return np.minimum(total, 1.0, out=total)

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 _STEER = 2
 _FINAL = 4
 _ROUNDS = 60
+# How often cells on the rim of the measured domain are cut for the integral.
+_RIM = 4
 _CHUNK = 1 << 18
 
 
@@ -65,15 +67,17 @@ class CellEnvelope:
 
     def _finish(self, rectangles: FloatArray, majorant: FloatArray) -> None:
         field = self._field
-        mass = self._quadrature(rectangles, _FINAL)
+        # On the rim of the measured domain the field breaks off: there the integral needs smaller cells.
+        fine = self._rimmed(rectangles)
+        mass = self._quadrature(fine, _FINAL)
         integral = float(mass.sum())
         if not integral > 0:
             raise empty_slice()
-        error = float(np.abs(mass - self._quadrature(rectangles, _FINAL - 1)).sum()) / integral
+        error = float(np.abs(mass - self._quadrature(fine, _FINAL - 1)).sum()) / integral
         clamped = 0.0
         if field.clamps:
-            clamped = 1.0 - float(self._quadrature(rectangles, _FINAL, clamped=False).sum()) / integral
-        disk, sphere = (float(self._quadrature(rectangles, _STEER, of=of).sum()) for of in ("disk", "sphere"))
+            clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
+        disk, sphere = (float(self._quadrature(fine, _STEER, of=of).sum()) for of in ("disk", "sphere"))
         keep = majorant > 0
         self._sides = tuple(np.ascontiguousarray(side) for side in rectangles[keep].T)
         self._majorant = majorant[keep]
@@ -85,6 +89,18 @@ class CellEnvelope:
             acceptance=min(integral / float(envelope.sum()), 1.0), extrapolated=field.extrapolated,
             method="rejection",
         )  # fmt: skip
+
+    def _rimmed(self, rectangles: FloatArray) -> FloatArray:
+        """The cells, those of which a part is measured cut in four again and again."""
+        whole: list[FloatArray] = []
+        for _ in range(_RIM):
+            corners = [self._field.field(rectangles[:, a], rectangles[:, b]) for a in (0, 1) for b in (2, 3)]
+            known = np.isfinite(np.stack(corners)).sum(axis=0)
+            rim = (known > 0) & (known < 4)
+            whole.append(rectangles[~rim])
+            tall = np.ones(int(rim.sum()), bool)
+            rectangles = _halves(_halves(rectangles[rim], tall), ~np.concatenate([tall, tall]))
+        return np.concatenate([*whole, rectangles])
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates in the sample's frame."""

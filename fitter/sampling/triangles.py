@@ -38,7 +38,7 @@ class TriangleEnvelope:
     def __init__(
         self, part: ScatteredSlice, weights: FloatArray, acceptance: float, cells: int, method: Method
     ) -> None:
-        self._slice = part
+        self._slice, self._weights = part, weights
         self._channels = len(weights)
         mesh = _common(part)
         raw = mesh.integrals()[:, self._channels :].sum(axis=0) @ weights
@@ -139,7 +139,7 @@ class TriangleEnvelope:
                 np.sqrt(np.maximum(1 - x * x - y * y, 0.0)),
             ], axis=1,
         )  # fmt: skip
-        return self.values(wo[inside]), self._bound[item[inside]]
+        return self.values(wo[inside]) @ self._weights, self._bound[item[inside]]
 
 
 def _columns(items: FloatArray) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
