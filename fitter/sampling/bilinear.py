@@ -149,6 +149,7 @@ class BilinearEnvelope:
             integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
             blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
             acceptance=integral / float(envelope.sum()), extrapolated=field.extrapolated, method=method,
+            energy_error=field.energy_error,
         )  # fmt: skip
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:

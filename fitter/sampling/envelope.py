@@ -29,6 +29,8 @@ class SliceInfo:
     acceptance : expected share of candidates that is accepted.
     extrapolated : True when the incidence lies outside the measured ones (only if that was allowed).
     method : how directions are drawn.
+    energy_error : what the energy of a narrow lobe is known to after interpolation, relative; None where
+        nothing estimates it (all but grids in incoming and outgoing angles).
     """
 
     integral: float
@@ -40,6 +42,7 @@ class SliceInfo:
     acceptance: float
     extrapolated: bool
     method: Method
+    energy_error: float | None = None
 
 
 @dataclass(frozen=True)

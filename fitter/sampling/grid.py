@@ -170,7 +170,8 @@ class GridInterpolant:
                 known = usable_there[index[0]]
                 usable &= known
                 there = np.where(known[:, None], per_incidence[index[0]], 0.0)
-                nodes.append(Node(float(weight[0]), there, float(self.roots[index[0]])))
+                energy = self.energy[index[0]]
+                nodes.append(Node(float(weight[0]), there, float(self.roots[index[0]]), energy.left))
         return SphericalSlice(outgoing, tuple(nodes), usable, rotation, extrapolated)
 
     def joint(

@@ -23,11 +23,13 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Node:
-    """One incidence of the grid: its weight in the slice, values (T P, C) as measured, and its root."""
+    """One incidence of the grid: its weight in the slice, values (T P, C) as measured, its root, and what
+    its energy is known to."""
 
     weight: float
     value: FloatArray
     root: float
+    energy_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class SphericalField:
         self._shape = (len(self._theta.nodes), len(self._phi.nodes))
         self._hole = np.where(part.usable, 0.0, np.nan)
         self.count = len(weights)
+        self.energy_error = sum(node.weight * node.energy_error for node in part.nodes)
         self.linear = all(node.root == 1 for node in part.nodes)
         used = [node.value[part.usable] for node in part.nodes]
         self.clamps = any(bool((value < 0).any()) for value in used)

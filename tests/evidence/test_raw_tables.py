@@ -15,7 +15,8 @@ WI = vector_from_spherical(np.deg2rad(45.0), raw_tables.AZIMUTH)
 
 @pytest.fixture(scope="module")
 def expected() -> np.ndarray:
-    found, error = raw_tables.expected_counts(TableSampler(spherical(0.2, 30, 31)), WI)
+    sampler = TableSampler(spherical(0.2, 30, 31))
+    found, error = raw_tables.expected_counts(sampler, WI, sampler.sample(WI, 100_000, 1).wo)
     assert error < raw_tables.MOST_ERROR
     assert found.sum() == pytest.approx(1, abs=1e-3)
     return found
@@ -37,3 +38,5 @@ def test_a_draw_where_nothing_is_expected_fails(expected: np.ndarray) -> None:
     holed[40, 3] = 0.0
     drawn = TableSampler(spherical(0.2, 30, 31)).sample(WI, raw_tables.DRAWS, 5)
     assert raw_tables.p_values(drawn.wo, holed) == (0.0, 0.0)
+    inside = np.ones(len(drawn), bool)
+    assert raw_tables.p_values(drawn.wo, holed, inside)[0] > raw_tables.SIGNIFICANCE
