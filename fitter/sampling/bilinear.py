@@ -22,6 +22,7 @@ from fitter import directions
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.arcs import inverted, linear, moments
 from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, no_inversion, violated
+from fitter.sampling.refining import worth_halving
 from fitter.sampling.spherical import SphericalField
 
 FloatArray = NDArray[np.float64]
@@ -64,19 +65,8 @@ class BilinearEnvelope:
             return rectangles, corners
         mass = self._mass(rectangles, corners, _STEER)
         for _ in range(_ROUNDS):
-            envelope = _envelope(rectangles, corners)
-            allowed = float(mass.sum()) * (1 / acceptance - 1)
-            waste = envelope - mass
-            if float(waste.sum()) <= allowed or len(rectangles) >= most:
-                break
-            # Splitting only what is above its fair share lets the work go where it is needed.
-            split = waste > max(0.5 * allowed, 1e-9 * float(envelope.sum())) / len(rectangles)
-            room = most - len(rectangles)
-            if np.count_nonzero(split) > room:
-                worst = np.argpartition(waste, -room)[-room:]
-                split = np.zeros(len(rectangles), bool)
-                split[worst] = True
-            if not split.any():
+            split = worth_halving(_envelope(rectangles, corners), mass, acceptance, most)
+            if split is None:
                 break
             fresh = self._halves(rectangles[split], corners[split])
             found = field.corners(fresh)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.envelope import Candidates, SliceInfo, empty_slice, violated
 from fitter.sampling.majorants import Field
+from fitter.sampling.refining import worth_halving
 
 FloatArray = NDArray[np.float64]
 
@@ -44,20 +45,8 @@ class CellEnvelope:
         majorant = field.bound(rectangles)
         mass = self._quadrature(rectangles, _STEER)
         for _ in range(_ROUNDS):
-            total, envelope = float(mass.sum()), field.measures(rectangles) * majorant
-            allowed = total * (1 / acceptance - 1)
-            waste = envelope - mass
-            if float(waste.sum()) <= allowed or len(rectangles) >= most:
-                break
-            # Splitting only what is above its fair share lets the work go where the field is steep.
-            fair = max(0.5 * allowed, 1e-9 * float(envelope.sum())) / len(rectangles)
-            split = waste > fair
-            room = most - len(rectangles)
-            if np.count_nonzero(split) > room:
-                worst = np.argpartition(waste, -room)[-room:]
-                split = np.zeros(len(rectangles), bool)
-                split[worst] = True
-            if not split.any():
+            split = worth_halving(field.measures(rectangles) * majorant, mass, acceptance, most)
+            if split is None:
                 break
             fresh = _halves(rectangles[split], field.tall(rectangles[split]))
             rectangles = np.concatenate([rectangles[~split], fresh])

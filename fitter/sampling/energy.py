@@ -33,10 +33,10 @@ BoolArray = NDArray[np.bool_]
 _SHARE, _MOST = 0.5, 0.7
 #: An excess below this share is left alone.
 WORTH = 0.02
-_ROOTS = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
+_ROOTS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
 # Axes with fewer nodes can't be thinned out.
 _FEWEST = 6
-_POINTS = 5
+_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,16 @@ def _of_slice(theta: Axis, phi: Axis, value: FloatArray, weight: FloatArray) -> 
     if excess < WORTH:
         return GridEnergy(excess, 1.0, excess)
     wanted = total / (1 + excess)
-    root, reached = 1.0, total
-    whole = weight > 0
-    for next_root in _ROOTS:
-        energy = _power_integral(theta, phi, value, whole, next_root)
-        if abs(energy - wanted) >= abs(reached - wanted):
-            break
-        root, reached = next_root, energy
+    # The larger the root, the less energy: halve the list of roots until two neighbours enclose it.
+    energies = {_ROOTS[0]: total}
+    low, high = 0, len(_ROOTS)
+    integral = _PowerIntegral(theta, phi, value, weight > 0)
+    while high - low > 1:
+        middle = (low + high) // 2
+        energies[_ROOTS[middle]] = integral(_ROOTS[middle])
+        low, high = (middle, high) if energies[_ROOTS[middle]] > wanted else (low, middle)
+    root = min(energies, key=lambda k: abs(energies[k] - wanted))
+    reached = energies[root]
     return GridEnergy(excess, root, max(abs(reached / wanted - 1), excess))
 
 
@@ -127,14 +130,20 @@ def _wrapped(axis: Axis, phi: FloatArray) -> FloatArray:
     return start + np.mod(phi - start, axis.period or 2 * np.pi)
 
 
-def _power_integral(theta: Axis, phi: Axis, value: FloatArray, whole: BoolArray, root: float) -> float:
-    """Integral of the power of the interpolated roots, times sin cos."""
-    x, points = np.polynomial.legendre.leggauss(_POINTS)
-    g = np.maximum(value, 0.0) ** (1 / root)
-    rows, row_weight = _lines(theta, x, points, polar=True)
-    columns, column_weight = _lines(phi, x, points, polar=False)
-    inside = (rows > 0).astype(float) @ ~whole @ (columns > 0).astype(float).T == 0
-    return float(row_weight @ ((rows @ g @ columns.T) ** root * inside) @ column_weight)
+class _PowerIntegral:
+    """Integral of the power of interpolated roots, times sin cos, for any root."""
+
+    def __init__(self, theta: Axis, phi: Axis, value: FloatArray, whole: BoolArray) -> None:
+        x, points = np.polynomial.legendre.leggauss(_POINTS)
+        self._value = np.maximum(value, 0.0)
+        self._rows, self._row_weight = _lines(theta, x, points, polar=True)
+        self._columns, self._column_weight = _lines(phi, x, points, polar=False)
+        near = [(lines > 0).astype(np.float64) for lines in (self._rows, self._columns)]
+        self._inside = near[0] @ (~whole).astype(np.float64) @ near[1].T == 0
+
+    def __call__(self, root: float) -> float:
+        found = self._rows @ self._value ** (1 / root) @ self._columns.T
+        return float(self._row_weight @ (found**root * self._inside) @ self._column_weight)
 
 
 def _lines(axis: Axis, x: FloatArray, points: FloatArray, *, polar: bool) -> tuple[FloatArray, FloatArray]:

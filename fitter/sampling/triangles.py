@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, violated
 from fitter.sampling.mesh import Mesh, halved, overlay
+from fitter.sampling.refining import worth_halving
 from fitter.sampling.scattered import ScatteredSlice
 
 FloatArray = NDArray[np.float64]
@@ -187,17 +188,10 @@ def _refined(mesh: Mesh, weights: FloatArray, acceptance: float, most: int) -> M
     """Triangles halved where the largest corner exceeds the mean most, until the acceptance is reached."""
     for _ in range(_ROUNDS):
         value = mesh.values @ weights
-        mass = mesh.areas * value.mean(axis=1)
-        waste = mesh.areas * value.max(axis=1) - mass
-        allowed = float(mass.sum()) * (1 / acceptance - 1)
-        if float(waste.sum()) <= allowed or len(waste) >= most:
+        areas = mesh.areas
+        split = worth_halving(areas * value.max(axis=1), areas * value.mean(axis=1), acceptance, most)
+        if split is None:
             break
-        split = waste > 0.5 * allowed / len(waste)
-        room = most - len(waste)
-        if np.count_nonzero(split) > room:
-            worst = np.argpartition(waste, -room)[-room:]
-            split = np.zeros(len(waste), bool)
-            split[worst] = True
         mesh = halved(mesh, split)
     return mesh
 

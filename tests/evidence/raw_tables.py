@@ -141,7 +141,7 @@ def judge(name: str, share: float, seed: int) -> Outcome:
                     )
                 off = abs(float(expected.sum()) - 1)
                 figures["integral off"] = max(figures["integral off"], off)
-                if off > 2 * envelope.info.integral_error + error + 1e-4:
+                if off > 2 * envelope.info.integral_error + error + 5e-4:
                     violations.append({"what": "the density does not integrate to 1", **told, "off": off})
                 violations += [{"what": what, **told} for what in _against_the_table(table, wi, drawn)]
                 cosine.append(envelope.info.integral / np.pi / float((drawn.pdf / drawn.wo[:, 2]).max()))
@@ -199,8 +199,8 @@ STUDY = Study(
         "Beside it, what a cosine envelope under the largest value drawn would accept"
     ),
     columns=(
-        "tests", "least p", "integral off", "attacks", "rejection: mean accepted", "rejection: least accepted",
-        "inversion: mean accepted", "cosine envelope",
+        "tests", "least p", "integral off", "attacks", "rejection: mean accepted",
+        "rejection: least accepted", "inversion: mean accepted", "cosine envelope",
     ),
     models=names,
     judge=judge,

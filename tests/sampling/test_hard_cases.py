@@ -127,12 +127,12 @@ def test_d10_the_lobe_at_the_horizon() -> None:
     """Naive: cos(theta_o) of an angle next to pi/2 comes out negative: below the surface."""
     assert np.cos(np.nextafter(np.pi / 2, 2.0)) < 0
     assert GRID.grid is not None
-    last = GRID.grid.coordinates()[1] > GRID.grid.axes["theta_o"][-2]
+    last = GRID.grid.coordinates()[1] > GRID.grid.axes["theta_o"][-5]
     table = Table(value=np.where(last, 1e6, 0.0), grid=GRID.grid)
     for method in ("rejection", "inversion"):
         drawn = TableSampler(table, method=method).sample(WI, 200_000, 0)
         assert drawn.wo[:, 2].min() >= 0
-        assert drawn.wo[:, 2].min() < 1e-3
+        assert drawn.wo[:, 2].min() < 2e-3
         assert np.isfinite(drawn.pdf).all()
 
 
