@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import repeat
+from threading import Event
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,7 @@ def blocks(
     sizes = [min(BLOCK, n - k * BLOCK) for k in range(min(count, at_once))]
     workers = 1 if most is not None else min(_cores(), len(sizes))
     pool = ThreadPoolExecutor(workers) if workers > 1 else None
+    given_up = Event()
     try:
         for start in range(0, count, at_once):
             some = range(start, min(start + at_once, count))
@@ -69,11 +71,11 @@ def blocks(
             parts = [_part(whole, k - start) for k in some]
             streams = [np.random.default_rng(_child(seed, k)) for k in some]
             if pool is not None:
-                done = list(pool.map(_fill, repeat(envelope), streams, parts, repeat(each)))
+                done = list(pool.map(_fill, repeat(envelope), streams, parts, repeat(each), repeat(given_up)))
             else:
                 done: list[tuple[int, int, int]] = []
                 for rng, part in zip(streams, parts, strict=True):
-                    done.append(_fill(envelope, rng, part, each if most is None else most))
+                    done.append(_fill(envelope, rng, part, each if most is None else most, given_up))
                     most = None if most is None else most - done[-1][0]
             yield Drawn(*whole, *(sum(column) for column in zip(*done, strict=True)))
     finally:
@@ -99,8 +101,13 @@ def _empty(n: int, channels: int, width: int) -> Arrays:
     return np.empty((n, width)), np.empty(n), None if channels == 1 else np.empty((n, channels))
 
 
-def _fill(envelope: Drawable, rng: np.random.Generator, out: Arrays, budget: int) -> tuple[int, int, int]:
-    """``(tried, hits, filled)`` of filling the arrays of one block."""
+def _fill(
+    envelope: Drawable, rng: np.random.Generator, out: Arrays, budget: int, given_up: Event
+) -> tuple[int, int, int]:
+    """``(tried, hits, filled)`` of filling the arrays of one block.
+
+    given_up : set once a block has used up its candidates: no other one need go on.
+    """
     wo, density, channels = out
     tried = hits = filled = 0
     for start in range(0, len(wo), _PART):
@@ -109,7 +116,8 @@ def _fill(envelope: Drawable, rng: np.random.Generator, out: Arrays, budget: int
         left = stop - start
         hopeful = 1.0
         while left > 0:
-            if tried >= budget:
+            if tried >= budget or given_up.is_set():
+                given_up.set()
                 return tried, hits, filled
             # Of a poor envelope so many more candidates that most slots are filled at once.
             m = min(left if hopeful > 0.5 else int(left / max(hopeful, 1e-3)) + 16, _PART, budget - tried)
