@@ -31,6 +31,8 @@ _SMALLEST = 1e-16
 _ROUNDS = 40
 _BITS = 2.0**26
 _ROUNDING = 1e-9
+# How far beyond a side, in barycentric coordinates, the search for a triangle takes a point to be in it.
+_SIDE = 4e-9
 
 
 class TriangleEnvelope:
@@ -50,7 +52,8 @@ class TriangleEnvelope:
         region, sphere = float(mesh.areas.sum()), _solid_angle(mesh)
         self._exact = method == "inversion"
         if not self._exact:
-            mesh = _refined(mesh, weights, acceptance, cells)
+            # A common mesh may have more triangles than that to begin with.
+            mesh = _refined(mesh, weights, acceptance, max(cells, 4 * len(mesh.corners)))
         value = mesh.values @ weights
         hats = mesh.areas[:, None] * (value / 3 if self._exact else value.max(axis=1, keepdims=True))
         keep = hats.sum(axis=1) > 0
@@ -140,7 +143,9 @@ class TriangleEnvelope:
                 np.sqrt(np.maximum(1 - x * x - y * y, 0.0)),
             ], axis=1,
         )  # fmt: skip
-        return self.values(wo[inside]) @ self._weights, self._bound[item[inside]]
+        # A point on a side may be found in the triangle beyond it, by the tolerance of that search.
+        slack = _SIDE * float(self._bound.max())
+        return self.values(wo[inside]) @ self._weights, self._bound[item[inside]] + slack
 
 
 def _columns(items: FloatArray) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
