@@ -27,7 +27,7 @@ def made(phi_i: tuple[float, ...] = (0.0,), **options: str) -> Table:
 TABLES = [made(), made((-3.0, -1.0, 1.0, 3.0))]
 DRAWS = 100_000
 EDGES = cells.edges(12, 24)
-FINE = 40
+FINE = 20
 
 
 def expected_of(table: Table, wi: np.ndarray) -> np.ndarray:
@@ -44,10 +44,10 @@ def expected_of(table: Table, wi: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("table", TABLES)
-@pytest.mark.parametrize("degree", [0.0, 20.0, 50.0])
+@pytest.mark.parametrize("degree", [0.0, 50.0])
 def test_draws_follow_the_files_interpolant(table: Table, degree: float) -> None:
     wi = vector_from_spherical(np.deg2rad(degree), -0.4)
-    sampler = TableSampler(table)
+    sampler = TableSampler(table, cells=8000)
     drawn = sampler.sample(wi, DRAWS, 3)
     expected = expected_of(table, wi)
     seen = np.bincount(cells.bin_of(drawn.wo, *EDGES), minlength=len(expected))
@@ -56,7 +56,7 @@ def test_draws_follow_the_files_interpolant(table: Table, degree: float) -> None
     assert info.integral == pytest.approx(expected.sum(), rel=2e-3)
     assert (info.method, info.clamped_share) == ("rejection", 0.0)
     assert info.blind == pytest.approx(0.0, abs=5e-3)
-    assert info.acceptance > 0.85
+    assert info.acceptance > 0.8
     few = drawn.wo[:500]
     np.testing.assert_allclose(sampler.pdf(wi, few), drawn.pdf[:500], rtol=1e-6)
     value, outside = table.evaluate(wi, few)
@@ -88,8 +88,9 @@ def test_samples_are_on_the_interpolant_and_quantities_are_kept() -> None:
         found, _ = other.evaluate(table.wi[use], table.wo[use])
         np.testing.assert_allclose(found, value * factor, rtol=1e-9)
         wi = vector_from_spherical(0.4, 0.0)
-        drawn = TableSampler(other).sample(wi, 2000, 1)
-        np.testing.assert_allclose(TableSampler(other).pdf(wi, drawn.wo), drawn.pdf, rtol=1e-6)
+        sampler = TableSampler(other, cells=1000)
+        drawn = sampler.sample(wi, 2000, 1)
+        np.testing.assert_allclose(sampler.pdf(wi, drawn.wo), drawn.pdf, rtol=1e-6)
 
 
 def test_outside_and_unmeasured() -> None:
