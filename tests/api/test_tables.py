@@ -100,8 +100,9 @@ def test_samples_end_with_a_problem_where_the_acceptance_is_hopeless(client: Any
     [
         {"n": 0}, {"n": 10_000_000}, {"n": 1e300}, {"seed": -1}, {"seed": 2**63}, {"wi": [0, 0, 0]},
         {"wi": [0.6, 0, -0.8]}, {"wi": [1e300, 0, 0]}, {"wi": [1, 0]}, {"wi": "up"}, {"weights": [1]},
-        {"weights": [-1, 1, 1]}, {"method": "magic"}, {"max_evaluations": 0}, {"wi": []}, {"wi": [WI, [0, 1]]},
-        {"wi": [WI, [0.6, 0, -0.8]]}, {"n": 10**12}, {"weights": [0, 0, 0]}, {"wi": [0.999, 0, 0.0447]}, {"colour": 1},
+        {"weights": [-1, 1, 1]}, {"method": "magic"}, {"max_evaluations": 0}, {"wi": []},
+        {"wi": [WI, [0, 1]]}, {"wi": [WI, [0.6, 0, -0.8]]}, {"n": 10**12}, {"weights": [0, 0, 0]},
+        {"wi": [0.999, 0, 0.0447]}, {"colour": 1},
     ],
 )  # fmt: skip
 def test_bad_samples_requests(client: Any, table: str, change: dict[str, Any]) -> None:
