@@ -128,24 +128,38 @@ def respond_samples(request: Request, drawn: Samples, channels: Sequence[str]) -
     """Draws as JSON, or as a structured array with the acceptance and the seed in headers."""
     fields = ("wo", "pdf", "weight", "valid", "is_delta")
     columns = {name: getattr(drawn, name) for name in fields}
+    if drawn.wi is not None:
+        columns["wi"] = drawn.wi
     array = np.zeros(len(drawn), [(name, c.dtype, c.shape[1:]) for name, c in columns.items()])
     for name, column in columns.items():
         array[name] = column
-    document = {"channels": list(channels), **columns, "acceptance": drawn.acceptance, "seed": drawn.seed}
-    headers = {"Sampling-Acceptance": f"{drawn.acceptance:.6g}", "Sampling-Seed": str(drawn.seed)}
+    document = {
+        "channels": list(channels), "wi": None, **columns, "acceptance": drawn.acceptance,
+        "evaluations": drawn.evaluations, "seed": drawn.seed,
+    }  # fmt: skip
+    headers = {
+        "Sampling-Acceptance": f"{drawn.acceptance:.6g}", "Sampling-Evaluations": str(drawn.evaluations),
+        "Sampling-Seed": str(drawn.seed),
+    }  # fmt: skip
     return respond(request, document, array, headers)
 
 
-def checked_draws(wi: Sequence[float], n: int, limit: int) -> FloatArray:
-    """The one incidence (3,) of a request for ``n`` draws."""
+def checked_draws(wi: Sequence[Any], n: int, limit: int) -> FloatArray:
+    """The incidence (3,), or incidences (M, 3), of a request for ``n`` draws each."""
+    several = isinstance(wi[0], list)
+    limited(n * len(wi) if several else n, limit)
+    incidences = checked(wi, "wi", len(wi) if several else 1)
+    above_horizon(incidences)
+    return incidences if several else incidences[0]
+
+
+def limited(n: int, limit: int) -> None:
+    """Raises Problem where ``n`` draws are too many for one answer."""
     if n > limit:
         raise Problem.invalid(
             "too-many-draws", f"{n} draws are more than the limit of {limit}", parameter="n",
             remedy="ask several times, with other seeds",
         )  # fmt: skip
-    incidence = checked(wi, "wi", 1)
-    above_horizon(incidence)
-    return incidence[0]
 
 
 def _is_npy(request: Request) -> bool:

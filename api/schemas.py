@@ -82,10 +82,27 @@ class SampleRequest(_Request):
     seed: Seed
 
 
-class TableSampleRequest(SampleRequest):
+class TableSampleRequest(_Request):
     """Directions to draw from a raw table. ``weights`` of the channels default to equal."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"wi": [0.5, 0.0, 0.8660254], "n": 4, "seed": 1}}
+    )
+
+    wi: Vector | Annotated[list[Vector], Field(min_length=1, max_length=1000)] | None = Field(
+        None,
+        description="one incidence, or several with `n` draws each; left out, incidences are drawn, too, "
+        "density proportional to f_r cos(theta_i) cos(theta_o)",
+    )
+    n: Annotated[int, Field(ge=1, le=50_000_000)]
+    seed: Seed
     weights: Values | None = None
+    method: Literal["rejection", "inversion"] | None = Field(
+        None, description="how; default whichever is faster. Both are exact"
+    )
+    max_evaluations: Annotated[int, Field(ge=1, lt=2**53)] | None = Field(
+        None, description="candidates to try at most; default 20 for each draw, and a million"
+    )
     allow_extrapolated: bool = Field(False, description="draw for incidences that were not measured, too")
 
 
@@ -99,7 +116,9 @@ class SamplesDocument(BaseModel):
     valid: list[bool]
     is_delta: list[bool]
     acceptance: float
+    evaluations: int | None = Field(description="candidates tried; null where a sampler tries none")
     seed: int | None
+    wi: list[Vector] | None = Field(description="the incidence of each draw; null where there is one for all")
 
 
 class EvaluationDocument(BaseModel):

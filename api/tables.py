@@ -20,6 +20,7 @@ from fitter.formats.read_options import read_options
 
 if TYPE_CHECKING:
     from fitter.sampling import Samples, TableSampler
+    from fitter.sampling.envelope import Method
 
 FloatArray = NDArray[np.float64]
 
@@ -46,16 +47,35 @@ class Opened:
         self._sampler: TableSampler | None = None
 
     def sample(
-        self, wi: FloatArray, n: int, seed: int, weights: Sequence[float] | None, allow_extrapolated: bool
+        self,
+        wi: FloatArray | None,
+        n: int,
+        seed: int,
+        *,
+        weights: Sequence[float] | None = None,
+        method: Method | None = None,
+        max_evaluations: int | None = None,
+        allow_extrapolated: bool = False,
     ) -> Samples:
-        """Draws from the table. The lock is there because a sampler keeps envelopes from call to call."""
-        if weights is not None:
-            sampler = fitter.TableSampler(self.table, weights=weights)
-            return sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated)
+        """Draws from the table, of pairs where ``wi`` is None.
+
+        The lock is there because a sampler keeps envelopes from call to call. A request must end: an
+        acceptance below a twentieth is an error unless more candidates were asked for.
+        """
+        draws = n * (len(wi) if wi is not None and wi.ndim == 2 else 1)
+        most = 20 * draws + 1_000_000 if max_evaluations is None else max_evaluations
+
+        def drawn(sampler: TableSampler) -> Samples:
+            if wi is None:
+                return sampler.sample_pairs(n, seed, max_evaluations=most)
+            return sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=most)
+
+        if weights is not None or method is not None:
+            return drawn(fitter.TableSampler(self.table, weights=weights, method=method))
         with self._lock:
             if self._sampler is None:
                 self._sampler = fitter.TableSampler(self.table)
-            return self._sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated)
+            return drawn(self._sampler)
 
 
 class OpenTables:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from fitter.grid import Grid
 from fitter.parts import in_parts
 from fitter.repeats import STEP, repeated
 from fitter.summary import Summary, summarise
+
+if TYPE_CHECKING:
+    from fitter.sampling.interpolant import Interpolant
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -151,6 +154,8 @@ class Table:
         self.metadata = metadata or Metadata()
         #: Seconds that :func:`fitter.load` took to read it; None where nobody knows.
         self.load_seconds: float | None = None
+        #: What lies between the samples where the file says so itself (adaptive parameterisations).
+        self.between: Interpolant | None = None
         self.grid = grid
         self.value = _columns("value", value)
         n = len(self.value)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import fitter
 from api import documents, schemas
 from api.blobs import Incoming
-from api.exchange import Body, checked_draws, read_pairs, respond, respond_samples
+from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
@@ -188,11 +188,19 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
     responses={**problems(400, 404, 413, 422), **array_response(schemas.SamplesDocument)},
 )  # fmt: skip
 def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here: Here) -> Response:
-    """Directions drawn from the raw table by rejection, exactly proportional to f_r cos(theta_o)."""
+    """Directions drawn from the raw table, exactly proportional to f_r cos(theta_o); or pairs of directions,
+    proportional to f_r cos(theta_i) cos(theta_o)."""
     row = _row(here, id)
-    wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
+    if wanted.wi is None:
+        limited(wanted.n, here.settings.max_draws)
+        wi = None
+    else:
+        wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
     opened = here.tables.open(row)
-    drawn = opened.sample(wi, wanted.n, wanted.seed, wanted.weights, wanted.allow_extrapolated)
+    drawn = opened.sample(
+        wi, wanted.n, wanted.seed, weights=wanted.weights, method=wanted.method,
+        max_evaluations=wanted.max_evaluations, allow_extrapolated=wanted.allow_extrapolated,
+    )  # fmt: skip
     return respond_samples(request, drawn, _channels(opened.table))
 
 

@@ -89,19 +89,25 @@ class Adaptive:
 
         Beyond the stored incidences those at the edge stand.
         """
-        wi, wo = self._folded(wi, wo)
+        wi, wo = self.folded(wi, wo)
         theta_i, phi_i = directions.spherical_from_vector(wi)
         theta_m, phi_m = directions.spherical_from_vector(wi + wo)
         u = np.sqrt(theta_m * (2 / np.pi))
         v = np.mod((phi_m - (phi_i if self.isotropic else 0.0)) / (2 * np.pi) + 0.5, 1.0)
+        blend = self.blend(wi)
+        s, t = self.warp.inverse(blend, u, v)
+        return lookup_blend(self.data, blend, s, t) * self._factor(theta_i, phi_i, u, v)[:, None]
+
+    def blend(self, wi: FloatArray) -> list[tuple[NDArray[np.intp], FloatArray]]:
+        """Stored incidences by number and their weights, each (M,), of incidences (M, 3) that are folded."""
+        theta_i, phi_i = directions.spherical_from_vector(wi)
         low_phi, share_phi = _between(self.phi_i, phi_i)
         low_theta, share_theta = _between(self.theta_i, theta_i)
         blend: list[tuple[NDArray[np.intp], FloatArray]] = []
         for a, b in product(range(min(len(self.phi_i), 2)), range(min(len(self.theta_i), 2))):
             weight = (share_phi if a else 1 - share_phi) * (share_theta if b else 1 - share_theta)
             blend.append(((low_phi + a) * len(self.theta_i) + low_theta + b, weight))
-        s, t = self.warp.inverse(blend, u, v)
-        return lookup_blend(self.data, blend, s, t) * self._factor(theta_i, phi_i, u, v)[:, None]
+        return blend
 
     def _factor(self, theta_i: FloatArray, phi_i: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
         if not self.jacobian:
@@ -109,7 +115,8 @@ class Adaptive:
         at = np.sqrt(theta_i * (2 / np.pi)), np.mod(phi_i / (2 * np.pi) + 0.5, 1.0)
         return lookup(self.ndf, u, v) / (4 * lookup(self.sigma, *at))
 
-    def _folded(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def folded(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Both (M, 3) turned or mirrored so that wi is among the stored azimuths."""
         if self.folds not in (2, 4):
             return wi, wo
         y = np.where(wi[:, 1] > 0, -1.0, 1.0)

@@ -7,6 +7,7 @@ what the table holds: the file's own samples, mapped to directions by its own wa
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from fitter.formats.registry import Format
 from fitter.formats.rgl_writer import MEASURED, write_rgl
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import MAGIC, fields
+from fitter.sampling.adaptive import AdaptiveInterpolant
 from fitter.table import Channel, Table
 
 FloatArray = NDArray[np.float64]
@@ -38,11 +40,13 @@ def sniff(head: bytes, size: int) -> float:
 
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """The table of a tensor file. Samples below the horizon are part of the format: masked, counted."""
-    reading, geometry = _reading(source, options)
-    return [assemble(source, options, reading, geometry)]
+    reading, geometry, adaptive = _reading(source, options)
+    table = assemble(source, options, reading, geometry)
+    table.between = AdaptiveInterpolant(adaptive, reading.quantity)
+    return [table]
 
 
-def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometry]:
+def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometry, Adaptive]:
     # The warp takes several times the file's size: it ends here, before the table is made.
     quantity, notes = stated_quantity(options, "ccbrdf", "f_r cos theta_o")
     found = fields(source)
@@ -59,13 +63,18 @@ def _reading(source: Source, options: ReadOptions) -> tuple[Reading, geo.Geometr
     if negative:
         notes.append(f"{negative} samples are negative in a channel: noise, or colours outside the gamut.")
     stated = _text(found["description"]) if "description" in found else ""
+    usable = _measured(source, found, adaptive, len(values))
     reading = Reading(
-        NAME, quantity, values, channels, usable=_measured(source, found, adaptive, len(values)),
+        NAME, quantity, values, channels, usable=usable,
         symmetry="isotropic" if adaptive.isotropic else "anisotropic", name=stated[:_LONGEST_NAME],
         provenance={"description": stated, "shape": list(adaptive.data.shape)}, notes=tuple(notes),
         text=False, angle_unit="rad",
     )  # fmt: skip
-    return reading, geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic)
+    if usable is not None and not usable.all():
+        hole = np.where(usable, 0.0, np.nan).reshape(len(adaptive.data), 1, *adaptive.data.shape[-2:])
+        adaptive = replace(adaptive, data=adaptive.data + hole)
+    # A copy, which has no warp yet.
+    return reading, geo.from_directions(wi, wo, "adaptive", symmetric=adaptive.isotropic), replace(adaptive)
 
 
 FORMAT = Format(NAME, "EPFL RGL tensor file, RGB or spectral", (), sniff, read, write=write_rgl)

@@ -9,6 +9,7 @@ piecewise quadratic and are inverted exactly (J. Dupuy, W. Jakob 2018, section 4
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,14 @@ class Warp:
             self._density[k] = values / total
             self._along_x[k] = _cumulated(self._density[k])
         self._along_y = _cumulated(self._along_x[..., -1])
+
+    def blended(self, share: Sequence[tuple[int, float]]) -> Warp:
+        """The one warp of the densities by number, blended with these weights."""
+        found = copy(self)
+        for name in ("_density", "_along_x", "_along_y"):
+            whole: FloatArray = getattr(self, name)
+            setattr(found, name, np.sum([weight * whole[node] for node, weight in share], axis=0)[None])
+        return found
 
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where in the uniform square the points (M,) come from, for densities blended as ``blend`` says."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from fitter.sampling.estimators import Moment, moment
 from fitter.sampling.samples import Samples
 from fitter.sampling.table_sampler import TableSampler
 
-__all__ = ["Samples", "TableSampler"]
+__all__ = ["Moment", "Samples", "TableSampler", "moment"]

@@ -71,6 +71,10 @@ class Axis:
         folded = np.abs(np.mod(x + np.pi, 2 * np.pi) - np.pi)
         return np.where((x > self.nodes[-1]) | (x < self.nodes[0]), folded, x)
 
+    def mirrored(self, x: FloatArray) -> BoolArray:
+        """(M,) where :meth:`fold` turns the sense of the coordinate round."""
+        return (self.fold(x) != x) & (np.mod(x + np.pi, 2 * np.pi) < np.pi)
+
     def locate(self, x: FloatArray) -> Place:
         """Where coordinates (M,), as :meth:`fitter.table.Grid.locate` returns them, lie."""
         x = self.fold(x)
@@ -115,6 +119,15 @@ def axes_of(grid: Grid) -> tuple[Axis, ...]:
         Axis(name, np.asarray(nodes, np.float64), grid.periodic.get(name))
         for name, nodes in grid.axes.items()
     )
+
+
+def fractions_at_ends(axis: Axis, place: Place, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fractions at both ends of intervals of width 2 ``half`` in one cell, of their middles' places."""
+    width = axis.nodes[place.high] - axis.nodes[place.low]
+    if axis.period is not None:
+        width = np.mod(width, axis.period)
+    step = np.where(width > 0, half / np.where(width > 0, width, 1.0), 0.0)
+    return np.clip(place.fraction - step, 0.0, 1.0), np.clip(place.fraction + step, 0.0, 1.0)
 
 
 def corners(places: Sequence[Place], shape: Sequence[int]) -> list[tuple[IndexArray, FloatArray]]:

@@ -1,15 +1,19 @@
-"""What the rejection sampler draws candidates from, and what it knows about one slice."""
+"""What the samplers draw candidates from, and what they know about one slice."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.errors import FitError, SpecError, TableError
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+Method = Literal["rejection", "inversion"]
 
 
 @dataclass(frozen=True)
@@ -20,38 +24,106 @@ class SliceInfo:
     integral_error : estimated relative error of that integral (0 where it is exact but for rounding).
     clamped_share : how much of f+ cos(theta_o) comes from clamping negative values at 0, relative.
     coverage : share of the projected hemisphere (of the disk) that was measured and can be drawn.
+    blind : share of the hemisphere's solid angle that was not measured or is masked: never drawn.
     cells : cells of the envelope.
     acceptance : expected share of candidates that is accepted.
     extrapolated : True when the incidence lies outside the measured ones (only if that was allowed).
+    method : how directions are drawn.
+    energy_error : what the energy of a narrow lobe is known to after interpolation, relative; None where
+        nothing estimates it (all but grids in incoming and outgoing angles).
     """
 
     integral: float
     integral_error: float
     clamped_share: float
     coverage: float
+    blind: float
     cells: int
     acceptance: float
     extrapolated: bool
+    method: Method
+    energy_error: float | None = None
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """wo : (m, 3); accepted : (m,); density : (m,) weighted f+ in 1/sr, defined where accepted."""
+    """wo : (m, 3); accepted : (m,); density : (m,) weighted f+ in 1/sr, defined where accepted.
+
+    place : where the candidates lie, in the envelope's own terms, for :meth:`Envelope.channels`.
+    """
 
     wo: FloatArray
     accepted: BoolArray
     density: FloatArray
+    place: tuple[NDArray[Any], ...]
 
 
-class Envelope(Protocol):
-    """Draws candidates and accepts them with exactly the right probability."""
+@dataclass(frozen=True)
+class JointInfo:
+    """Incidences and scattered directions drawn together, as the sampler sees them.
 
-    info: SliceInfo
+    integral : of f+ cos(theta_i) cos(theta_o) over both hemispheres, as far as measured, channels weighted.
+    integral_error : its estimated relative error, a standard error where it comes from draws.
+    acceptance : expected share of candidates that is accepted.
+    """
+
+    integral: float
+    integral_error: float
+    acceptance: float
+
+
+class Drawable(Protocol):
+    """Draws candidates and accepts them with exactly the right probability.
+
+    Not changed by drawing: threads may share one.
+    """
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates; the accepted ones are independent and distributed as f+ cos(theta_o)."""
         ...
 
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
+        """(m, C) f+ of every channel in 1/sr at candidates' places."""
+        ...
+
+
+class JointEnvelope(Drawable, Protocol):
+    """Candidates are pairs: ``wo`` of :class:`Candidates` is (m, 6), wi then wo."""
+
+    info: JointInfo
+
+
+class Envelope(Drawable, Protocol):
+    """Candidates for one incidence."""
+
+    info: SliceInfo
+
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel in 1/sr at directions (M, 3), 0 outside the measured part."""
         ...
+
+
+def empty_slice() -> TableError:
+    """Nothing is positive at this incidence."""
+    return TableError(
+        "nothing can be drawn: the table's values are all zero or missing at this incidence",
+        code="slice-empty", cause="a blind region, a masked slice or an incidence out of range",
+        remedy="choose another incidence; the table's info lists its domain",
+    )  # fmt: skip
+
+
+def no_inversion(what: str) -> SpecError:
+    """The interpolant of this kind of table can't be inverted exactly."""
+    return SpecError(
+        f"{what} can't be drawn from by inversion", code="no-inversion", parameter="method",
+        cause="its interpolant has no integral in closed form",
+        remedy="leave the method out, or use 'rejection': the draws are exact either way",
+    )  # fmt: skip
+
+
+def violated() -> FitError:
+    """A candidate exceeds its majorant."""
+    return FitError(
+        "the interpolant exceeds its bound: the draws would not be exact", code="majorant-violated",
+        cause="a defect of this library", remedy="report it with the table and the incidence",
+    )  # fmt: skip

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from fitter import directions
-from fitter.sampling.axes import Axis, axes_of, corners
-from fitter.sampling.envelope import Envelope
+from fitter.sampling.axes import Axis, Place, axes_of, corners
+from fitter.sampling.energy import GridEnergy, grid_energy
+from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
+from fitter.sampling.spherical import Node, SphericalSlice, powered
 from fitter.table import Grid
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
 
 # A corner with less weight than this is not touched: a query on a node must not see its neighbours.
 _NO_WEIGHT = 1e-9
@@ -93,15 +96,12 @@ class GridInterpolant:
         if self.in_plane:
             cross = wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0]
             outside |= np.abs(cross) > _PLANE * np.hypot(wi[:, 0], wi[:, 1]) * np.hypot(wo[:, 0], wo[:, 1])
-        total = np.zeros((len(wi), self.value.shape[1]))
-        share = np.zeros(len(wi))
         around = corners(places, self.grid.shape)
-        for index, weight in around:
-            usable = self.mask[index]
-            outside |= ~usable & (weight > _NO_WEIGHT)
-            weight = np.where(usable, weight, 0.0)
-            total += weight[:, None] * np.where(usable[:, None], self.value[index], 0.0)
-            share += weight
+        if self.grid.system != "half_difference" and (self.roots != 1).any():
+            total, share, missing = self._by_roots(places, around)
+        else:
+            total, share, missing = self._sums(around)
+        outside |= missing
         known = share > _NO_WEIGHT
         values = total / np.where(known, share, 1.0)[:, None]
         if not known.all():
@@ -109,6 +109,45 @@ class GridInterpolant:
             index = np.stack([index for index, _ in around])[heaviest, np.arange(len(wi))]
             values[~known] = self.value[self._nearest[index[~known]]]
         return values, outside
+
+    def _sums(
+        self, around: list[tuple[IndexArray, FloatArray]], power: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Weighted values (or their roots) and weights of the usable corners, and where one is missing."""
+        total, share = 0.0, 0.0
+        missing = np.zeros(around[0][0].shape, bool)
+        for index, weight in around:
+            usable = self.mask[index]
+            missing |= ~usable & (weight > _NO_WEIGHT)
+            weight = np.where(usable, weight, 0.0)
+            value = np.where(usable[:, None], self.value[index], 0.0)
+            total = total + weight[:, None] * (value if power is None else powered(value, power))
+            share = share + weight
+        return np.asarray(total), np.asarray(share), missing
+
+    def _by_roots(
+        self, places: list[Place], around: list[tuple[IndexArray, FloatArray]]
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """As :meth:`_sums`; between outgoing angles, roots are what is interpolated."""
+        incoming = corners(places[:-2], self.grid.shape[:-2])
+        total, share, missing = 0.0, 0.0, np.zeros(len(around[0][0]), bool)
+        for k, (node, _) in enumerate(incoming):
+            root = self.roots[node][:, None]
+            some, of, gone = self._sums(around[4 * k : 4 * k + 4], 1 / root)
+            known = of > 0
+            mean = powered(some / np.where(known, of, 1.0)[:, None], root)
+            total, share, missing = total + of[:, None] * mean, share + of, missing | gone
+        return np.asarray(total), np.asarray(share), missing
+
+    @cached_property
+    def energy(self) -> tuple[GridEnergy, ...]:
+        """What interpolation does to the energy of each incidence of an in/out grid, in storage order."""
+        return grid_energy(self.axes, self.grid.shape, self.value, self.mask)
+
+    @cached_property
+    def roots(self) -> FloatArray:
+        """(incidences,) what power the interpolation between outgoing angles is of; 1 is linear."""
+        return np.array([one.root for one in self.energy])
 
     def slice(self, wi: ArrayLike) -> Slice:
         """The interpolant at the one incidence ``wi`` (3,)."""
@@ -124,38 +163,30 @@ class GridInterpolant:
         shape = (*(len(axis.nodes) for axis in outgoing), self.value.shape[1])
         per_incidence = self.value.reshape(-1, shape[0] * shape[1], shape[2])
         usable_there = self.mask.reshape(-1, shape[0] * shape[1])
-        raw, clamped = np.zeros((2, shape[0] * shape[1], shape[2]))
         usable = np.ones(shape[0] * shape[1], bool)
+        nodes: list[Node] = []
         for index, weight in corners(places, [len(axis.nodes) for axis in incoming]):
             if weight[0] > _NO_WEIGHT:
                 known = usable_there[index[0]]
                 usable &= known
                 there = np.where(known[:, None], per_incidence[index[0]], 0.0)
-                raw += weight[0] * there
-                clamped += weight[0] * np.maximum(there, 0.0)
-        return SphericalSlice(outgoing, raw, clamped, usable, rotation, extrapolated)
+                energy = self.energy[index[0]]
+                nodes.append(Node(float(weight[0]), there, float(self.roots[index[0]]), energy.left))
+        return SphericalSlice(outgoing, tuple(nodes), usable, rotation, extrapolated)
 
+    def joint(
+        self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
+    ) -> JointEnvelope:
+        """What pairs (wi, wo) are drawn from."""
+        if self.grid.system != "half_difference":
+            from fitter.sampling.joint import of_spherical
 
-@dataclass(frozen=True)
-class SphericalSlice:
-    """One incidence of a grid in incoming and outgoing angles: bilinear in (theta_o, azimuth).
+            return of_spherical(self, weights, acceptance, cells, method or "rejection")
+        from fitter.sampling.joint_half_difference import HalfDifferenceJoint
 
-    raw, clamped : (T P, C) node values as measured and clamped at 0; usable : (T P,).
-    rotation : azimuth to add to the slice's own to come back to the sample's frame.
-    """
-
-    outgoing: tuple[Axis, ...]
-    raw: FloatArray
-    clamped: FloatArray
-    usable: BoolArray
-    rotation: float
-    extrapolated: bool
-
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int) -> Envelope:
-        from fitter.sampling.cells import CellEnvelope
-        from fitter.sampling.majorants import SphericalField
-
-        return CellEnvelope(SphericalField(self, weights), acceptance, cells)
+        if method == "inversion":
+            raise no_inversion("a grid in half and difference angles")
+        return HalfDifferenceJoint(self, weights, acceptance)
 
 
 @dataclass(frozen=True)
@@ -165,9 +196,12 @@ class HalfDifferenceSlice:
     interpolant: GridInterpolant
     wi: FloatArray
     extrapolated: bool
+    preferred: Method = "rejection"
 
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int) -> Envelope:
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
         from fitter.sampling.cells import CellEnvelope
         from fitter.sampling.half_difference import HalfDifferenceField
 
+        if method == "inversion":
+            raise no_inversion("a grid in half and difference angles")
         return CellEnvelope(HalfDifferenceField(self, weights), acceptance, cells)

@@ -42,9 +42,12 @@ class WeightedTable:
 
 
 class HalfDifferenceField:
-    """Trilinear in (theta_h, theta_d, phi_d), which are not aligned with the cells in wo."""
+    """Trilinear in (theta_h, theta_d, phi_d), which are not aligned with the cells in wo.
 
-    exact = False
+    The chart is (theta_o, azimuth from that of wi), its measure that of the projected disk: cos(theta) dw =
+    d(sin^2 theta)/2 dphi, and the field is f+ itself.
+    """
+
     # Square enough to begin with; everything else is refinement.
     _BEGIN = (24, 96)
 
@@ -53,7 +56,7 @@ class HalfDifferenceField:
         self._shared = self._table.weighted(weights)
         self.extrapolated = part.extrapolated
         theta_i, phi_i = directions.spherical_from_vector(part.wi)
-        self.rotation = float(phi_i)
+        self._rotation = float(phi_i)
         self._wi = directions.vector_from_spherical(theta_i, 0.0)
         self.clamps = self._table.has_negatives
 
@@ -65,20 +68,58 @@ class HalfDifferenceField:
         coordinates = self._table.grid.locate(self._wi, wo)
         return [axis.locate(x) for axis, x in zip(self._table.axes, coordinates, strict=True)]
 
-    def density(self, theta: FloatArray, phi: FloatArray, *, clamped: bool = True) -> FloatArray:
+    def measures(self, cells: FloatArray) -> FloatArray:
+        # The difference of squares of sines, written without cancellation.
+        theta0, theta1, phi0, phi1 = cells.T
+        return 0.5 * np.sin(theta1 - theta0) * np.sin(theta1 + theta0) * (phi1 - phi0)
+
+    def measure(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        return 0.5 * np.sin(2 * a)
+
+    def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        return 1 / np.maximum(np.cos(a), 1e-300)
+
+    def tall(self, cells: FloatArray) -> NDArray[np.bool_]:
+        """The longer side as seen on the sphere."""
+        theta0, theta1, phi0, phi1 = cells.T
+        return theta1 - theta0 >= np.sin(theta1) * (phi1 - phi0)
+
+    def place(
+        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        theta0, theta1, phi0, phi1 = cells
+        # sin^2 and cos^2 drawn together: arcsin alone would lose half the digits at the horizon.
+        low, high = np.sin(theta0) ** 2, np.sin(theta1) ** 2
+        sin2 = low + u * (high - low)
+        low, high = np.cos(theta0) ** 2, np.cos(theta1) ** 2
+        cos2 = low + u * (high - low)
+        theta = np.clip(np.arctan2(np.sqrt(sin2), np.sqrt(cos2)), theta0, theta1)
+        return theta, phi0 + v * (phi1 - phi0)
+
+    def directions(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        return directions.vector_from_spherical(a, b + self._rotation)
+
+    def coordinates(self, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+        theta, phi = directions.spherical_from_vector(wo)
+        return theta, phi - self._rotation
+
+    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+        return field
+
+    def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
         def look_up(index: IndexArray) -> FloatArray:
             if clamped:
                 return self._shared.weighted[index]
             return np.where(self._table.mask[index], self._table.value[index] @ self._shared.weights, np.nan)
 
-        return self._blend(self._places(theta, phi), look_up)
+        return self._blend(self._places(a, b), look_up)
 
-    def values(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
+    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
         def look_up(index: IndexArray) -> FloatArray:
             usable = self._table.mask[index][:, None]
             return np.where(usable, np.maximum(self._table.value[index], 0.0), np.nan)
 
-        return self._blend(self._places(theta, phi), look_up)
+        return self._blend(self._places(a, b), look_up)
 
     def _blend(self, places: list[Place], look_up: Callable[[IndexArray], FloatArray]) -> FloatArray:
         total: FloatArray | float = 0.0

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitter.errors import TableError
 
 if TYPE_CHECKING:
-    from fitter.sampling.envelope import Envelope
+    from fitter.sampling.envelope import Envelope, JointEnvelope, Method
     from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -27,13 +27,20 @@ class Slice(Protocol):
     """The interpolant at one incidence, as a function of wo.
 
     extrapolated : True when the incidence lies outside the measured ones.
+    preferred : how directions are drawn where nobody asks for another way.
     """
 
     @property
     def extrapolated(self) -> bool: ...
 
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int) -> Envelope:
-        """What the rejection sampler draws candidates from; ``weights`` (C,) sum to 1."""
+    @property
+    def preferred(self) -> Method: ...
+
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
+        """What the sampler draws candidates from; ``weights`` (C,) sum to 1.
+
+        Raises SpecError where ``method`` is "inversion" and the interpolant can't be inverted exactly.
+        """
         ...
 
 
@@ -54,9 +61,17 @@ class Interpolant(Protocol):
         """The interpolant at the one incidence ``wi`` (3,)."""
         ...
 
+    def joint(
+        self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
+    ) -> JointEnvelope:
+        """What pairs (wi, wo) are drawn from; as :meth:`Slice.envelope`."""
+        ...
+
 
 def interpolant(table: Table) -> Interpolant:
     """The interpolant of ``table``, built on first use and kept with the table."""
+    if table.between is not None:
+        return table.between
     kept = vars(table)
     if "_interpolant" not in kept:
         if table.grid is not None:

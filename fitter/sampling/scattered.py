@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import TableError
-from fitter.sampling.envelope import Envelope
+from fitter.sampling.envelope import Envelope, JointEnvelope, Method
 from fitter.sampling.interpolant import in_chunks, pairs
 from fitter.sampling.scans import PLANE, Scan, group, triangulate
 
@@ -48,7 +48,7 @@ class ScatteredInterpolant:
         the bracket's scans predict each other best (least sum of absolute differences).
         """
         if bracket not in self._motions:
-            self._motions[bracket] = self._best_motion(self._brackets[bracket])
+            self._motions[bracket] = self._best_motion(self.brackets[bracket])
         return self._motions[bracket]
 
     @cached_property
@@ -56,7 +56,7 @@ class ScatteredInterpolant:
         return {}
 
     @property
-    def _brackets(self) -> NDArray[np.intp]:
+    def brackets(self) -> NDArray[np.intp]:
         """(B, 2 or 3) indices of the scans that incidences between them are blended from."""
         if self._mesh is not None:
             return self._mesh.simplices.astype(np.intp)
@@ -209,6 +209,14 @@ class ScatteredInterpolant:
         )
         return ScatteredSlice(parts, rotation, not bool(measured[0]) or bool(w[0, 2] <= 0))
 
+    def joint(
+        self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
+    ) -> JointEnvelope:
+        """What pairs (wi, wo) are drawn from."""
+        from fitter.sampling.joint import of_scattered
+
+        return of_scattered(self, weights, acceptance, cells, method or "inversion")
+
 
 @dataclass(frozen=True)
 class Part:
@@ -226,9 +234,9 @@ class ScatteredSlice:
     parts: tuple[Part, ...]
     rotation: float
     extrapolated: bool
+    preferred: Method = "inversion"
 
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int) -> Envelope:
-        """Triangles need no refinement: ``acceptance`` and ``cells`` have nothing to decide here."""
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
         from fitter.sampling.triangles import TriangleEnvelope
 
         if any(part.scan.kind != "area" for part in self.parts):
@@ -237,7 +245,7 @@ class ScatteredSlice:
                 code="table-few-directions", cause="too few directions per incidence to span triangles",
                 remedy="fit a model and draw from that",
             )  # fmt: skip
-        return TriangleEnvelope(self, weights)
+        return TriangleEnvelope(self, weights, acceptance, cells, method)
 
 
 def _turned(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:

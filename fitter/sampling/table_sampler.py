@@ -1,4 +1,4 @@
-"""TableSampler: exact random directions from a raw table, by rejection, with no model in between."""
+"""TableSampler: exact random directions from a raw table, with no model in between."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import FitError, SpecError, TableError
-from fitter.sampling.envelope import Envelope, SliceInfo
+from fitter.sampling.envelope import Drawable, Envelope, JointEnvelope, JointInfo, Method, SliceInfo
 from fitter.sampling.interpolant import interpolant
+from fitter.sampling.rejection import BLOCK, Drawn, blocks
 from fitter.sampling.samples import Samples
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: More draws than this don't fit in one answer (about 5 GB); stream them.
 MOST_DRAWS = 50_000_000
-_CHUNK = 1 << 18
+# Blocks of draws in one part of a stream.
+_AT_ONCE = 4
 # Kept set-ups; one is a few MB.
 _KEPT = 16
 # Without a budget of the caller's: an acceptance below this is a failure, not a reason to go on.
@@ -37,6 +39,9 @@ class TableSampler:
     table : any :class:`fitter.Table` that covers more than the plane of incidence.
     weights : (C,) of the channels in f+, not negative; default equal. A channel of weight 0 is seen only
         where another one is positive.
+    method : "rejection" (any table) or "inversion" (scattered tables and grids in incoming and outgoing
+        angles, where nothing is rejected). Both are exact. Default: inversion for scattered tables, else
+        rejection, whichever is faster.
     acceptance : refine envelopes until this share of the candidates is expected to be accepted.
     cells : at most so many cells per envelope.
 
@@ -46,17 +51,30 @@ class TableSampler:
     Raises
     ------
     TableError : ``in-plane-only``.
-    SpecError : weights that make no sense.
+    SpecError : weights or a method that make no sense.
     """
 
     def __init__(
-        self, table: Table, *, weights: ArrayLike | None = None, acceptance: float = 0.9, cells: int = 40_000
+        self,
+        table: Table,
+        *,
+        weights: ArrayLike | None = None,
+        method: Method | None = None,
+        acceptance: float = 0.9,
+        cells: int = 40_000,
     ) -> None:
         self._interpolant = interpolant(table)
         self._name = table.metadata.name or None
         self._weights = _weights(weights, len(table.channels))
+        if method not in (None, "rejection", "inversion"):
+            raise SpecError(
+                f"there is no method {method!r}", code="bad-method", parameter="method",
+                remedy="give 'rejection' or 'inversion', or leave it out",
+            )  # fmt: skip
+        self._method: Method | None = method
         self._target = acceptance, cells
         self._kept: dict[tuple[float, float, float], Envelope] = {}
+        self._joint: JointEnvelope | None = None
         if self._interpolant.in_plane:
             raise TableError(
                 "the table covers the plane of incidence only, which has no solid angle to draw from",
@@ -65,11 +83,11 @@ class TableSampler:
 
     def info(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> SliceInfo:
         """What the sampler knows about one incidence: integral, coverage, expected acceptance, clamping."""
-        return self._envelope(wi, allow_extrapolated).info
+        return self.envelope(wi, allow_extrapolated=allow_extrapolated).info
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike, *, allow_extrapolated: bool = False) -> FloatArray:
         """(M,) density of wo (M, 3) given ``wi`` (3,) per unit solid angle, 1/sr."""
-        envelope = self._envelope(wi, allow_extrapolated)
+        envelope = self.envelope(wi, allow_extrapolated=allow_extrapolated)
         wo = np.atleast_2d(np.asarray(wo, np.float64))
         return envelope.values(wo) @ self._weights * np.maximum(wo[:, 2], 0.0) / envelope.info.integral
 
@@ -82,7 +100,7 @@ class TableSampler:
         allow_extrapolated: bool = False,
         max_evaluations: int | None = None,
     ) -> Samples:
-        """``n`` directions for the one incidence ``wi`` (3,).
+        """``n`` directions for the incidence ``wi`` (3,), or ``n`` for each of ``wi`` (M, 3) in turn.
 
         Parameters
         ----------
@@ -95,16 +113,24 @@ class TableSampler:
         SpecError : n or seed that make no sense. TableError : an incidence that was not measured, or where
         nothing is positive. FitError : ``max_evaluations`` reached, with the acceptance so far.
         """
-        _check_count(n, MOST_DRAWS)
-        parts = list(
-            self.stream(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=max_evaluations)
-        )
-        arrays = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("wo", "pdf", "weight", "valid", "is_delta")
-        }
-        # Each part states the share so far: the last one is that of all.
-        return Samples(**arrays, acceptance=parts[-1].acceptance, seed=parts[-1].seed)
+        several = np.asarray(wi, np.float64)
+        if several.ndim != 2:
+            _check_count(n, MOST_DRAWS)
+            envelope, sequence, kept = self._start(wi, seed, allow_extrapolated)
+            drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK)))
+            return self._samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
+        _check_count(n, MOST_DRAWS // max(len(several), 1))
+        sequence, kept = _sequence(seed)
+        parts: list[Samples] = []
+        tried = 0
+        for k, one in enumerate(several):
+            left = None if max_evaluations is None else max_evaluations - tried
+            envelope = self.envelope(one, allow_extrapolated=allow_extrapolated)
+            own = np.random.SeedSequence(sequence.entropy, spawn_key=(*sequence.spawn_key, k))
+            drawn = next(self._drawn(envelope, n, own, left, -(-n // BLOCK)))
+            tried += drawn.tried
+            parts.append(self._samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept))
+        return joined(parts, np.repeat(several, n, axis=0))
 
     def stream(
         self,
@@ -115,59 +141,103 @@ class TableSampler:
         allow_extrapolated: bool = False,
         max_evaluations: int | None = None,
     ) -> Iterator[Samples]:
-        """The same draws as :meth:`sample` in parts of bounded size; any ``n``.
+        """The same draws as :meth:`sample` for one incidence (3,) in parts of bounded size; any ``n``.
 
-        ``acceptance`` of each part is that of all candidates so far.
+        ``acceptance`` and ``evaluations`` of each part are those of all candidates so far.
         """
         _check_count(n, None)
-        rng, seed_kept = _generator(seed)
-        envelope = self._envelope(wi, allow_extrapolated)
-        return self._stream(envelope, n, rng, seed_kept, max_evaluations)
+        envelope, sequence, kept = self._start(wi, seed, allow_extrapolated)
+        return self._stream(envelope, n, sequence, kept, max_evaluations)
+
+    def sample_pairs(self, n: int, seed: Any, *, max_evaluations: int | None = None) -> Samples:
+        """``n`` pairs of directions, density proportional to f+(wi, wo) cos(theta_i) cos(theta_o).
+
+        ``wi`` of the result holds the incidences; ``pdf`` is the joint density in 1/sr^2, and the mean of
+        ``weight`` = f_r cos(theta_i) cos(theta_o) / pdf estimates pi times the bihemispherical reflectance
+        over what was measured. Raises as :meth:`sample`; TableError ``too-few-incidences``.
+        """
+        _check_count(n, MOST_DRAWS // 2)
+        sequence, kept = _sequence(seed)
+        envelope = self._pairs()
+        drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK), width=6))
+        steep = drawn.wo[:, 2] * drawn.wo[:, 5]
+        integral = envelope.info.integral
+        weight = np.full((n, 1), integral)
+        if drawn.channels is not None:
+            weight = drawn.channels * (integral / drawn.density)[:, None]
+        return Samples(
+            wo=np.ascontiguousarray(drawn.wo[:, 3:]), pdf=drawn.density * steep / integral, weight=weight,
+            valid=np.ones(n, bool), is_delta=np.zeros(n, bool), acceptance=drawn.hits / drawn.tried,
+            seed=kept, evaluations=drawn.tried, wi=np.ascontiguousarray(drawn.wo[:, :3]),
+        )  # fmt: skip
+
+    def info_pairs(self) -> JointInfo:
+        """What the sampler knows about pairs: their integral, its error, expected acceptance."""
+        return self._pairs().info
+
+    def _pairs(self) -> JointEnvelope:
+        if self._joint is None:
+            self._joint = self._interpolant.joint(self._weights, *self._target, self._method)
+        return self._joint
 
     def _stream(
-        self,
-        envelope: Envelope,
-        n: int,
-        rng: np.random.Generator,
-        seed: int | None,
-        max_evaluations: int | None,
+        self, envelope: Envelope, n: int, sequence: np.random.SeedSequence, kept: int | None, most: int | None
     ) -> Iterator[Samples]:
-        budget = max_evaluations if max_evaluations is not None else int(n / _HOPELESS) + 10 * _CHUNK
-        tried = accepted = 0
-        left = n
-        while left > 0:
-            m = min(int(left / max(envelope.info.acceptance, _HOPELESS) * 1.01) + 64, _CHUNK, budget - tried)
-            if m <= 0:
+        tried = hits = 0
+        for drawn in self._drawn(envelope, n, sequence, most, _AT_ONCE):
+            tried, hits = tried + drawn.tried, hits + drawn.hits
+            yield self._samples(envelope, drawn, hits / tried, tried, kept)
+
+    def _drawn(
+        self,
+        envelope: Drawable,
+        n: int,
+        sequence: np.random.SeedSequence,
+        most: int | None,
+        at_once: int,
+        width: int = 3,
+    ) -> Iterator[Drawn]:
+        """Parts of ``n`` draws. Raises FitError once ``most`` candidates were not enough."""
+        tried = hits = made = 0
+        count, each = len(self._weights), int(BLOCK / _HOPELESS)
+        for drawn in blocks(envelope, n, sequence, count, most, each, at_once, width):
+            tried, hits, made = tried + drawn.tried, hits + drawn.hits, made + drawn.filled
+            if drawn.filled < len(drawn.wo):
                 raise FitError(
-                    f"{n - left} of {n} directions drawn after {tried} candidates "
-                    f"(acceptance {accepted / max(tried, 1):.3g})",
+                    f"{made} of {n} directions drawn after {tried} candidates "
+                    f"(acceptance {hits / max(tried, 1):.3g})",
                     code="evaluation-budget", parameter="max_evaluations",
                     cause="the budget is small, or the slice is a narrow peak its cells don't resolve",
                     remedy="raise max_evaluations, or give the sampler more cells",
                 )  # fmt: skip
-            candidates = envelope.draw(rng, m)
-            tried += m
-            hits = np.flatnonzero(candidates.accepted)
-            accepted += len(hits)
-            hits = hits[:left]
-            left -= len(hits)
-            if len(hits):
-                yield self._samples(
-                    envelope, candidates.wo[hits], candidates.density[hits], accepted / tried, seed
-                )
+            yield drawn
 
     def _samples(
-        self, envelope: Envelope, wo: FloatArray, density: FloatArray, acceptance: float, seed: int | None
+        self, envelope: Envelope, drawn: Drawn, acceptance: float, tried: int, seed: int | None
     ) -> Samples:
-        n = len(wo)
-        # f cos / pdf = f / f+ x integral: the cosine cancels, so the weight stays exact at the horizon.
-        share = np.ones((n, 1)) if len(self._weights) == 1 else envelope.values(wo) / density[:, None]
+        n, integral = len(drawn.wo), envelope.info.integral
+        if drawn.channels is None:
+            weight = np.full((n, 1), integral)
+        else:
+            # f cos / pdf = f / f+ x integral: the cosine cancels, so the weight stays exact at the horizon.
+            weight = drawn.channels
+            weight *= (integral / drawn.density)[:, None]
+        pdf = drawn.density
+        pdf *= drawn.wo[:, 2]
+        pdf /= integral
         return Samples(
-            wo=wo, pdf=density * wo[:, 2] / envelope.info.integral, weight=share * envelope.info.integral,
-            valid=np.ones(n, bool), is_delta=np.zeros(n, bool), acceptance=acceptance, seed=seed,
+            wo=drawn.wo, pdf=pdf, weight=weight, valid=np.ones(n, bool), is_delta=np.zeros(n, bool),
+            acceptance=acceptance, seed=seed, evaluations=tried,
         )  # fmt: skip
 
-    def _envelope(self, wi: ArrayLike, allow_extrapolated: bool) -> Envelope:
+    def _start(
+        self, wi: ArrayLike, seed: Any, allow_extrapolated: bool
+    ) -> tuple[Envelope, np.random.SeedSequence, int | None]:
+        sequence, kept = _sequence(seed)
+        return self.envelope(wi, allow_extrapolated=allow_extrapolated), sequence, kept
+
+    def envelope(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> Envelope:
+        """What candidates for the incidence ``wi`` (3,) are drawn from; kept for the latest few."""
         w = np.asarray(wi, np.float64)
         if w.shape != (3,) or not np.isfinite(w).all() or abs(float(w @ w) - 1.0) > 1e-6 or w[2] <= 0:
             raise SpecError(
@@ -186,8 +256,19 @@ class TableSampler:
         if key not in self._kept:
             if len(self._kept) >= _KEPT:
                 del self._kept[next(iter(self._kept))]
-            self._kept[key] = part.envelope(self._weights, *self._target)
+            self._kept[key] = part.envelope(self._weights, *self._target, self._method or part.preferred)
         return self._kept[key]
+
+
+def joined(parts: list[Samples], wi: FloatArray) -> Samples:
+    """Draws for several incidences as one."""
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("wo", "pdf", "weight", "valid", "is_delta")
+    }
+    tried = sum(part.evaluations or 0 for part in parts)
+    hits = sum(part.acceptance * (part.evaluations or 0) for part in parts)
+    return Samples(**arrays, acceptance=hits / tried, seed=parts[0].seed, evaluations=tried, wi=wi)
 
 
 def _check_count(n: Any, most: int | None) -> None:
@@ -213,13 +294,13 @@ def _weights(given: ArrayLike | None, channels: int) -> FloatArray:
     return weights / weights.sum()
 
 
-def _generator(seed: Any) -> tuple[np.random.Generator, int | None]:
-    """A numpy generator from an integer or a JAX key, and the integer if it was one."""
+def _sequence(seed: Any) -> tuple[np.random.SeedSequence, int | None]:
+    """A seed sequence from an integer or a JAX key, and the integer if it was one."""
     if isinstance(seed, int | np.integer) and not isinstance(seed, bool) and seed >= 0:
-        return np.random.default_rng(int(seed)), int(seed)
+        return np.random.SeedSequence(int(seed)), int(seed)
     jax = sys.modules.get("jax")  # whoever holds a key has imported it; nobody else should wait for it
     if jax is not None and isinstance(seed, jax.Array):
-        return np.random.default_rng(np.asarray(jax.random.key_data(seed)).reshape(-1).tolist()), None
+        return np.random.SeedSequence(np.asarray(jax.random.key_data(seed)).reshape(-1).tolist()), None
     raise SpecError(
         f"seed must be an integer >= 0 or a JAX key, not {seed!r}", code="bad-seed", parameter="seed",
         remedy="give an integer; the same one gives the same draws",

@@ -1,186 +1,216 @@
 """The envelope of a slice of a scattered table: linear densities on triangles of the projected disk.
 
-cos(theta) dw = dx dy, so f+ cos(theta) is, on the disk, a sum over scans of functions that are linear on
-each triangle. A candidate takes a (scan, triangle, corner) with probability proportional to its exact mass
-and then barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to that corner's
-hat: together exactly the sum. Only what falls outside the region that all scans of the blend cover is
-rejected.
+cos(theta) dw = dx dy, so f+ cos(theta) is, on the disk, linear on each triangle; where scans are blended,
+on each triangle of their common mesh (:mod:`fitter.sampling.mesh`).
+
+By inversion: a triangle and one of its corners, with probability proportional to the mass of that corner's
+hat, then barycentric coordinates from the Dirichlet(2, 1, 1) density, which is proportional to the hat:
+together exactly the sum. By rejection: a triangle by its largest corner value, which bounds a linear
+function, a point uniform in it, accepted with probability value / bound.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.errors import TableError
-from fitter.sampling.envelope import Candidates, SliceInfo
+from fitter.sampling.alias import AliasTable
+from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, violated
+from fitter.sampling.mesh import Mesh, halved, overlay
+from fitter.sampling.refining import worth_halving
 from fitter.sampling.scattered import ScatteredSlice
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
-# A polygon inscribed in the disk stands for it where shifted scans reach beyond the horizon.
+# A polygon inscribed in the disk stands for it where a shifted scan reaches beyond the horizon.
 _HORIZON = 720
-_EDGE = 1e-12
+# Triangles smaller than this (of points on a line) hold nothing.
+_SMALLEST = 1e-16
+_ROUNDS = 40
+_BITS = 2.0**26
+_ROUNDING = 1e-9
+# How far beyond a side, in barycentric coordinates, the search for a triangle takes a point to be in it.
+_SIDE = 4e-9
 
 
 class TriangleEnvelope:
-    """Exact, with exact integral, for piecewise linear slices."""
+    """Exact, with exact integral. ``acceptance`` and ``cells`` concern the rejection only."""
 
-    def __init__(self, part: ScatteredSlice, weights: FloatArray) -> None:
-        self._slice = part
-        self._weights = weights
-        corners: list[FloatArray] = []
-        values: list[FloatArray] = []
-        raw: list[FloatArray] = []
-        for piece in part.parts:
-            simplices = piece.scan.triangulation.simplices
-            corners.append((piece.scan.points + piece.shift)[simplices])
-            values.append(piece.weight * (piece.scan.clamped @ weights)[simplices])
-            raw.append(piece.weight * (piece.scan.value @ weights)[simplices])
-        self._corners = np.concatenate(corners)
-        self._value = np.concatenate(values)
-        area = _area(self._corners)
-        self._cumulative = np.cumsum((area[:, None] * self._value / 3).reshape(-1))
-        drawn = float(self._cumulative[-1])
-        self._beyond: FloatArray | None = None
-        # One scan as measured: every draw is inside. Else the region all scans cover, cut at the horizon.
-        self._whole = len(part.parts) == 1 and not np.any(part.parts[0].shift)
-        if self._whole:
-            integral, region = drawn, float(area.sum())
-            signed = float((area * np.concatenate(raw).mean(axis=1)).sum())
-        else:
-            polygon = self._region()
-            integral = _integral(self._corners, self._value, polygon)
-            signed = _integral(self._corners, np.concatenate(raw), polygon)
-            region = _polygon_area(polygon)
+    def __init__(
+        self, part: ScatteredSlice, weights: FloatArray, acceptance: float, cells: int, method: Method
+    ) -> None:
+        self._slice, self._weights = part, weights
+        self._channels = len(weights)
+        mesh = _common(part)
+        raw = mesh.integrals()[:, self._channels :].sum(axis=0) @ weights
+        mesh = Mesh(mesh.corners, mesh.values[..., : self._channels])
+        integral = float(mesh.integrals().sum(axis=0) @ weights)
         if not integral > 0:
-            raise TableError(
-                "nothing can be drawn: the table's values are all zero or missing at this incidence",
-                code="slice-empty", cause="a blind region, or neighbouring scans that cover different parts",
-                remedy="choose another incidence; the table's info lists its domain",
-            )  # fmt: skip
+            raise empty_slice()
+        region, sphere = float(mesh.areas.sum()), _solid_angle(mesh)
+        self._exact = method == "inversion"
+        if not self._exact:
+            # A common mesh may have more triangles than that to begin with.
+            mesh = _refined(mesh, weights, acceptance, max(cells, 4 * len(mesh.corners)))
+        value = mesh.values @ weights
+        hats = mesh.areas[:, None] * (value / 3 if self._exact else value.max(axis=1, keepdims=True))
+        keep = hats.sum(axis=1) > 0
+        value, hats, corners = value[keep], hats[keep], mesh.corners[keep]
+        self._bound = value.max(axis=1) * (1 + _ROUNDING)
+        every = mesh.values[keep]
+        if self._exact:  # an item for every corner of every triangle, that corner first
+            order = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1]])
+            corners, value, every = (
+                x[:, order].reshape(-1, 3, *x.shape[2:]) for x in (corners, value, every)
+            )
+        self._point = _columns(np.concatenate([corners, value[..., None]], axis=2))
+        self._every = _columns(every) if self._channels > 1 else ()
+        self._alias = AliasTable(hats.reshape(-1))
+        drawn = float(hats.sum())
         self.info = SliceInfo(
-            integral=integral, integral_error=0.0, clamped_share=1.0 - signed / integral,
-            coverage=region / np.pi, cells=len(self._corners), acceptance=integral / drawn,
-            extrapolated=part.extrapolated,
+            integral=integral, integral_error=0.0, clamped_share=1.0 - float(raw) / integral,
+            coverage=min(region / np.pi, 1.0), blind=max(1.0 - sphere / (2 * np.pi), 0.0),
+            cells=int(keep.sum()), acceptance=min(integral / drawn, 1.0), extrapolated=part.extrapolated,
+            method=method,
         )  # fmt: skip
-
-    def _region(self) -> FloatArray:
-        hulls = [piece.scan.hull + piece.shift for piece in self._slice.parts]
-        polygon = hulls[0]
-        for hull in hulls[1:]:
-            polygon = _clip(polygon, hull)
-        # Where wi is a convex combination of the scans' incidences the region can't leave the disk: |p - s_k|
-        # <= 1 for shifts s_k that average to 0 gives |p| <= 1. Only a single shifted scan can.
-        if len(polygon) and float(np.hypot(*polygon.T).max()) > 1.0:
-            angle = 2 * np.pi * np.arange(_HORIZON) / _HORIZON
-            self._beyond = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            polygon = _clip(polygon, self._beyond)
-        return polygon
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates in the sample's frame."""
-        random = rng.random((4, m))
-        chosen = np.searchsorted(self._cumulative, random[0] * self._cumulative[-1], side="right")
-        triangle, corner = np.divmod(np.minimum(chosen, len(self._cumulative) - 1), 3)
-        # Spacings of three ordered uniform numbers are Dirichlet(1, 1, 1, 1); two of them added: (2, 1, 1).
-        ordered = np.sort(random[1:], axis=0)
-        share = np.empty((m, 3))
-        rows = np.arange(m)
-        share[rows, corner] = ordered[1]
-        share[rows, (corner + 1) % 3] = ordered[2] - ordered[1]
-        share[rows, (corner + 2) % 3] = 1.0 - ordered[2]
-        points = np.einsum("mi,mij->mj", share, self._corners[triangle])
-        if self._whole:
-            density = np.einsum("mi,mi->m", share, self._value[triangle])
+        item = self._alias.choose(rng.random(m))
+        u, v = rng.random((2, m))
+        u *= _BITS
+        w = np.floor(u)
+        u -= w
+        w *= 1 / _BITS
+        low, high = np.minimum(v, w), np.maximum(v, w)
+        if self._exact:
+            # Spacings of three ordered uniform numbers are Dirichlet(1, 1, 1, 1); two added: (2, 1, 1).
+            top = np.maximum(high, u)
+            middle = np.maximum(low, np.minimum(high, u))
+            second, third = top - middle, 1.0 - top
+        else:
+            second, third = high - low, 1.0 - high
+        x, y, density = (_mixed(column, item, second, third) for column in self._point)
+        if self._exact:
             accepted = np.ones(m, bool)
         else:
-            values, accepted = self._evaluate(points)
-            density = values @ self._weights
+            bound = self._bound.take(item)
+            accepted = u * bound < density
+            if np.any(density > bound):
+                raise violated()
         # Rounding may put a draw from a sliver at the rim outside the disk, by a part in 1e16.
-        z2 = np.maximum((1.0 - points[:, 0]) * (1.0 + points[:, 0]) - points[:, 1] ** 2, 0.0)
+        z2 = np.maximum((1.0 - x) * (1.0 + x) - y * y, 0.0)
         turn = self._slice.rotation
-        x = np.cos(turn) * points[:, 0] - np.sin(turn) * points[:, 1]
-        y = np.sin(turn) * points[:, 0] + np.cos(turn) * points[:, 1]
-        return Candidates(np.stack([x, y, np.sqrt(z2)], axis=1), accepted, density)
+        wo = np.empty((m, 3))
+        if turn == 0:
+            wo[:, 0], wo[:, 1] = x, y
+        else:
+            wo[:, 0] = np.cos(turn) * x - np.sin(turn) * y
+            wo[:, 1] = np.sin(turn) * x + np.cos(turn) * y
+        np.sqrt(z2, out=wo[:, 2])
+        return Candidates(wo, accepted, density, (item, second, third))
 
-    def _evaluate(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-        values = np.zeros((len(points), len(self._weights)))
-        inside = np.ones(len(points), bool)
-        for piece in self._slice.parts:
-            found, here = piece.scan.evaluate(points - piece.shift, piece.scan.clamped)
-            values += piece.weight * found
-            inside &= here
-        if self._beyond is not None:
-            inside &= np.hypot(points[:, 0], points[:, 1]) <= 1.0
-            rim = np.flatnonzero(inside & (np.hypot(points[:, 0], points[:, 1]) > np.cos(np.pi / _HORIZON)))
-            inside[rim] = (_distances(points[rim], self._beyond) <= _EDGE).all(axis=1)
-        return values, inside
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
+        """(m, C) f+ of every channel at candidates' places."""
+        return np.stack([_mixed(column, *place) for column in self._every or self._point[2:]], axis=1)
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""
         turn = self._slice.rotation
         x = np.cos(turn) * wo[:, 0] + np.sin(turn) * wo[:, 1]
         y = np.cos(turn) * wo[:, 1] - np.sin(turn) * wo[:, 0]
-        values, inside = self._evaluate(np.stack([x, y], axis=1))
-        return np.where((inside & (wo[:, 2] >= 0))[:, None], values, 0.0)
+        points = np.stack([x, y], axis=1)
+        values = np.zeros((len(points), self._channels))
+        inside = wo[:, 2] >= 0
+        for piece in self._slice.parts:
+            found, here = piece.scan.evaluate(points - piece.shift, piece.scan.clamped)
+            values += piece.weight * found
+            inside &= here
+        return np.where(inside[:, None], values, 0.0)
+
+    def attack(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
+        """``(field cos, bound)`` at ``count`` points chosen to break the bound: corners and sides."""
+        item = rng.integers(0, len(self._point[0][0]), count)
+        share = rng.dirichlet((0.2, 0.2, 0.2), count)
+        x, y, _ = (_mixed(column, item, share[:, 1], share[:, 2]) for column in self._point)
+        inside = x * x + y * y <= 1
+        turn = self._slice.rotation
+        wo = np.stack(
+            [
+                np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y,
+                np.sqrt(np.maximum(1 - x * x - y * y, 0.0)),
+            ], axis=1,
+        )  # fmt: skip
+        # A point on a side may be found in the triangle beyond it, by the tolerance of that search.
+        slack = _SIDE * float(self._bound.max())
+        return self.values(wo[inside]) @ self._weights, self._bound[item[inside]] + slack
 
 
-def _area(corners: FloatArray) -> FloatArray:
-    """(T,) areas of triangles (T, 3, 2)."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+def _columns(items: FloatArray) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+    """Of (n, 3, K): for each of the K, its value at the first corner and its changes to the other two."""
+    first = items[:, 0]
+    return tuple(
+        (first[:, k].copy(), items[:, 1, k] - first[:, k], items[:, 2, k] - first[:, k])
+        for k in range(items.shape[2])
+    )
 
 
-def _polygon_area(polygon: FloatArray) -> float:
-    if len(polygon) < 3:
-        return 0.0
-    x, y = polygon.T
-    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+def _mixed(
+    column: tuple[FloatArray, FloatArray, FloatArray],
+    item: NDArray[np.intp],
+    second: FloatArray,
+    third: FloatArray,
+) -> FloatArray:
+    found = column[0].take(item)
+    found += second * column[1].take(item)
+    found += third * column[2].take(item)
+    return found
 
 
-def _distances(points: FloatArray, polygon: FloatArray) -> FloatArray:
-    """(M, E) by how much points (M, 2) lie outside each edge of a counter-clockwise convex polygon."""
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    length = np.hypot(*edge.T)
-    edge = edge[length > 0] / length[length > 0, None]
-    start = polygon[length > 0]
-    offset = start[:, 0] * edge[:, 1] - start[:, 1] * edge[:, 0]
-    return points[:, :1] * edge[:, 1] - points[:, 1:2] * edge[:, 0] - offset
+def _common(part: ScatteredSlice) -> Mesh:
+    """The slice on one mesh: values clamped at 0, then as measured, of every channel."""
+    mesh: Mesh | None = None
+    for piece in part.parts:
+        simplices = piece.scan.triangulation.simplices
+        values = piece.weight * np.concatenate([piece.scan.clamped, piece.scan.value], axis=1)
+        one = Mesh((piece.scan.points + piece.shift)[simplices], values[simplices])
+        one = Mesh(one.corners[one.areas > _SMALLEST], one.values[one.areas > _SMALLEST])
+        mesh = one if mesh is None else overlay(mesh, one)
+    assert mesh is not None
+    # Where wi is a convex combination of the scans' incidences the region can't leave the disk: |p - s_k|
+    # <= 1 for shifts s_k that average to 0 gives |p| <= 1. Only a single shifted scan can.
+    if len(mesh.corners) and float(np.hypot(*mesh.corners.reshape(-1, 2).T).max()) > 1.0 + 1e-9:
+        angle = 2 * np.pi * np.arange(_HORIZON) / _HORIZON
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1, axis=0)], axis=1)
+        mesh = overlay(mesh, Mesh(fan, np.zeros((_HORIZON, 3, mesh.values.shape[2]))))
+    return mesh
 
 
-def _clip(polygon: FloatArray, convex: FloatArray) -> FloatArray:
-    """Part of a polygon (n, d) inside a convex one (m, 2), Sutherland-Hodgman; columns beyond 2 go along."""
-    edge = np.roll(convex, -1, axis=0) - convex
-    for start, along in zip(convex, edge, strict=True):
-        if len(polygon) == 0:
+def _refined(mesh: Mesh, weights: FloatArray, acceptance: float, most: int) -> Mesh:
+    """Triangles halved where the largest corner exceeds the mean most, until the acceptance is reached."""
+    for _ in range(_ROUNDS):
+        value = mesh.values @ weights
+        areas = mesh.areas
+        split = worth_halving(areas * value.max(axis=1), areas * value.mean(axis=1), acceptance, most)
+        if split is None:
             break
-        outside = (polygon[:, 0] - start[0]) * along[1] - (polygon[:, 1] - start[1]) * along[0]
-        if (outside <= 0).all():
-            continue
-        kept: list[FloatArray] = []
-        for k in range(len(polygon)):
-            d0, d1 = float(outside[k - 1]), float(outside[k])
-            if (d0 > 0) != (d1 > 0):
-                kept.append(polygon[k - 1] + d0 / (d0 - d1) * (polygon[k] - polygon[k - 1]))
-            if d1 <= 0:
-                kept.append(polygon[k])
-        polygon = np.array(kept).reshape(-1, polygon.shape[1])
-    return polygon
+        mesh = halved(mesh, split)
+    return mesh
 
 
-def _integral(corners: FloatArray, value: FloatArray, region: FloatArray) -> float:
-    """Of linear functions, corner values (T, 3), over triangles (T, 3, 2) within a convex region."""
-    if len(region) < 3:
-        return 0.0
-    outside = _distances(corners.reshape(-1, 2), region).reshape(len(corners), 3, -1) > _EDGE
-    inner = ~outside.any(axis=(1, 2))
-    total = float((_area(corners[inner]) * value[inner].mean(axis=1)).sum())
-    # A triangle with all corners beyond one edge has no part inside.
-    for k in np.flatnonzero(~inner & ~np.any(outside.all(axis=1), axis=1)):
-        piece = _clip(np.concatenate([corners[k], value[k, :, None]], axis=1), region)
-        for i in range(1, len(piece) - 1):
-            fan = piece[[0, i, i + 1]]
-            total += float(_area(fan[None, :, :2])[0] * fan[:, 2].mean())
-    return total
+def _solid_angle(mesh: Mesh) -> float:
+    """Of the region on the sphere: spherical triangles over the corners, by L'Huilier's theorem.
+
+    Straight sides on the disk are no great circles; of neighbours the difference cancels.
+    """
+    corners = mesh.corners
+    z = np.sqrt(np.maximum(1.0 - (corners**2).sum(axis=2), 0.0))
+    w = np.concatenate([corners, z[..., None]], axis=2)
+    side = [np.linalg.norm(w[:, k] - w[:, (k + 1) % 3], axis=1) for k in range(3)]
+    a, b, c = (2 * np.arcsin(np.minimum(0.5 * length, 1.0)) for length in side)
+    s = 0.5 * (a + b + c)
+    product = np.tan(0.5 * s) * np.tan(0.5 * (s - a)) * np.tan(0.5 * (s - b)) * np.tan(0.5 * (s - c))
+    return float(4 * np.arctan(np.sqrt(np.maximum(product, 0.0))).sum())

@@ -67,8 +67,32 @@ def test_samples_are_the_librarys(client: Any, table: str, same: fitter.Table) -
     binary = client.post(f"/v1/tables/{table}/samples", json=wanted, headers={"accept": NPY})
     np.testing.assert_array_equal(np.load(io.BytesIO(binary.content))["wo"], drawn.wo)
     assert binary.headers["sampling-seed"] == "7"
+    assert binary.headers["sampling-evaluations"] == str(drawn.evaluations)
     weighted = client.post(f"/v1/tables/{table}/samples", json={**wanted, "weights": [1, 0, 0]}).json()
     assert weighted["wo"] != found["wo"]
+
+
+def test_samples_of_several_incidences_and_of_pairs(client: Any, table: str, same: fitter.Table) -> None:
+    several = [[0.0, 0.0, 1.0], WI]
+    wanted: dict[str, Any] = {"wi": several, "n": 20, "seed": 7}
+    found = client.post(f"/v1/tables/{table}/samples", json=wanted).json()
+    drawn = fitter.TableSampler(same).sample(np.array(several), 20, seed=7)
+    np.testing.assert_array_equal(found["wo"], drawn.wo)
+    np.testing.assert_array_equal(found["wi"], np.repeat(several, 20, axis=0))
+    binary = client.post(f"/v1/tables/{table}/samples", json=wanted, headers={"accept": NPY})
+    np.testing.assert_array_equal(np.load(io.BytesIO(binary.content))["wi"], drawn.wi)
+    pairs = client.post(f"/v1/tables/{table}/samples", json={"n": 20, "seed": 7}).json()
+    np.testing.assert_array_equal(pairs["wi"], fitter.TableSampler(same).sample_pairs(20, 7).wi)
+    answer = client.post(f"/v1/tables/{table}/samples", json={**wanted, "n": 600_000})
+    assert answer.json()["code"] == "too-many-draws"
+
+
+def test_samples_end_with_a_problem_where_the_acceptance_is_hopeless(client: Any, table: str) -> None:
+    wanted = {"wi": WI, "n": 1000, "seed": 7, "max_evaluations": 900, "method": "rejection"}
+    answer = client.post(f"/v1/tables/{table}/samples", json=wanted)
+    assert answer.status_code == 422
+    assert answer.json()["code"] == "evaluation-budget"
+    assert answer.json()["parameter"] == "max_evaluations"
 
 
 @pytest.mark.parametrize(
@@ -76,7 +100,9 @@ def test_samples_are_the_librarys(client: Any, table: str, same: fitter.Table) -
     [
         {"n": 0}, {"n": 10_000_000}, {"n": 1e300}, {"seed": -1}, {"seed": 2**63}, {"wi": [0, 0, 0]},
         {"wi": [0.6, 0, -0.8]}, {"wi": [1e300, 0, 0]}, {"wi": [1, 0]}, {"wi": "up"}, {"weights": [1]},
-        {"weights": [-1, 1, 1]}, {"weights": [0, 0, 0]}, {"wi": [0.999, 0, 0.0447]}, {"colour": 1},
+        {"weights": [-1, 1, 1]}, {"method": "magic"}, {"max_evaluations": 0}, {"wi": []},
+        {"wi": [WI, [0, 1]]}, {"wi": [WI, [0.6, 0, -0.8]]}, {"n": 10**12}, {"weights": [0, 0, 0]},
+        {"wi": [0.999, 0, 0.0447]}, {"colour": 1},
     ],
 )  # fmt: skip
 def test_bad_samples_requests(client: Any, table: str, change: dict[str, Any]) -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fitter
 from fitter import models
+from fitter.sampling import moment
 from fitter.table import Table
 from tests.bench import plain, tables
 from tests.bench.measuring import Figure, Row, Size, Times, alternate
-from tests.sampling.tables import merl
+from tests.bench.memory import peak
+from tests.sampling.tables import merl, scattered, spherical
 
 FloatArray = NDArray[np.float64]
 SEED = 5
@@ -22,6 +26,8 @@ WI = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5)])
 def run(size: Size) -> Iterator[Row]:
     for alpha in (0.05, 0.15):
         yield from _table(alpha, size)
+    yield from _slices(size)
+    yield _stream(size)
     yield _model(size)
 
 
@@ -57,6 +63,73 @@ def _table(alpha: float, size: Size) -> Iterator[Row]:
         others=(Figure.of("cosine envelope", "ratio", [accepted]),),
         seed=SEED,
     )
+
+
+def _slices(size: Size) -> Iterator[Row]:
+    """Two-dimensional slices, set-up of the slice included, beside the triples of uniform numbers alone."""
+    n: int = size.pick(1_000_000, 20_000)
+    grid = spherical(0.15, *size.pick((90, 91), (30, 31)))
+    in_out = Table(value=grid.value[:, 0], grid=grid.grid)
+    scans = scattered(0.15)
+    rng = np.random.default_rng(SEED)
+    for name, table, wi, method in (
+        ("an in/out grid", in_out, WI, "rejection"), ("an in/out grid", in_out, WI, "inversion"),
+        ("a scattered scan", scans, scans.wi[0], "inversion"),
+        ("a scattered scan", scans, scans.wi[0], "rejection"),
+    ):  # fmt: skip
+        times = alternate(
+            {
+                "ours": lambda t=table, w=wi, m=method: fitter.TableSampler(t, method=m).sample(
+                    w, n, seed=SEED
+                ),
+                "uniforms": lambda: rng.random((n, 3)),
+            },
+            size.pick(9, 2),
+        )
+        yield Row(
+            f"draws from a slice of {name} by {method}, set-up included",
+            times["ours"].rate("TableSampler.sample", n),
+            (times["uniforms"].rate("floor: NumPy drawing three uniforms each", n),),
+            {"acceptance": times["ours"].result.acceptance, "draws": n}, SEED,
+        )  # fmt: skip
+
+
+_STREAM = """
+import numpy as np
+import fitter
+from fitter.sampling import moment
+from tests.sampling.tables import spherical
+sampler = fitter.TableSampler(spherical(0.15, 60, 61))
+wi = np.array([0.5**0.5, 0.0, 0.5**0.5])
+sampler.info(wi)
+"""
+
+
+def _stream(size: Size) -> Row:
+    """Memory of a stream, and how far its mean is from the integral, in standard errors."""
+    n: int = size.pick(100_000_000, 200_000)
+    began = time.perf_counter()
+    needed = peak(_STREAM, f"moment(sampler.stream(wi, {n}, {SEED}), lambda wo: wo[:, 2])", Path("unused"))
+    seconds = time.perf_counter() - began
+    table = spherical(0.15, 60, 61)
+    sampler = fitter.TableSampler(table)
+    found = moment(sampler.stream(WI, n, SEED), lambda wo: wo[:, 2])
+    # The same integral by a plain sum over the disk.
+    u, phi = (np.arange(4000) + 0.5) / 4000, (np.arange(1440) + 0.5) / 1440 * 2 * np.pi
+    exact = np.zeros(2)
+    for x in u:
+        r, z = np.sqrt(x), np.sqrt(1 - x)
+        wo = np.stack([r * np.cos(phi), r * np.sin(phi), np.full_like(phi, z)], axis=1)
+        exact += table.evaluate(WI, wo)[0].mean(axis=0) * z * np.pi / len(u)
+    return Row(
+        case=f"a stream of {n:,} draws and a moment of them",
+        ours=Figure.of("TableSampler.stream", "s", [seconds]),
+        facts={
+            "peak_bytes": needed, "draws": n, "moment": found.value.tolist(), "by_sum": exact.tolist(),
+            "standard_error": found.standard_error.tolist(),
+        },
+        seed=SEED,
+    )  # fmt: skip
 
 
 def _rejected(table: Table, bound: float, rng: np.random.Generator, tried: int) -> int:

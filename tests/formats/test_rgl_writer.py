@@ -216,5 +216,5 @@ def test_a_measured_one_again(shared: Path, tmp_path: Path):
     wi, wo = table.directions(near)
     found = opened(tmp_path / "t.bsdf").evaluate(wi, wo) / wo[:, 2:]
     change = np.abs(found - table.value[near]) / table.value[near].mean(axis=1, keepdims=True)
-    assert np.median(change) < 0.02
+    assert np.median(change) < 0.025
     assert np.quantile(change, 0.95) < 0.2

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from fitter.directions import vector_from_spherical
-from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice, SphericalSlice
+from fitter.sampling.bilinear import BilinearEnvelope
+from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
 from fitter.sampling.half_difference import HalfDifferenceField
 from fitter.sampling.interpolant import interpolant
-from fitter.sampling.majorants import SphericalField
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
+from fitter.sampling.spherical import SphericalField, SphericalSlice
+from fitter.sampling.triangles import TriangleEnvelope
 from fitter.table import Table
-from tests.sampling.tables import anisotropic, merl, spherical
+from tests.sampling.tables import anisotropic, merl, scattered, spherical
 
 
 def rough(table: Table, holes: float) -> Table:
@@ -49,7 +51,7 @@ def test_half_difference_bounds_hold_on_any_cell(degree: float, holes: float) ->
     cells = np.stack([theta0, np.minimum(theta0 + size[0], np.pi / 2), phi0, phi0 + size[1]], axis=1)
     bound = field.bound(cells)
     theta, phi = points_in(cells, 40, rng)
-    density = field.density(theta.reshape(-1), phi.reshape(-1)).reshape(theta.shape)
+    density = field.field(theta.reshape(-1), phi.reshape(-1)).reshape(theta.shape)
     assert not (density > bound[:, None]).any()
     if holes == 0 and degree >= 30:
         # And they are worth having: tight for small cells (near the normal phi_d is free, so not there).
@@ -57,28 +59,39 @@ def test_half_difference_bounds_hold_on_any_cell(degree: float, holes: float) ->
         assert np.median(density.max(axis=1)[small] / bound[small]) > 0.5
 
 
+@pytest.mark.parametrize("root", [1.0, 2.5])
 @pytest.mark.parametrize("table", [spherical(0.2, 15, 16), anisotropic()])
-def test_spherical_bounds_hold_on_cells_between_nodes(table: Table) -> None:
+def test_bilinear_envelopes_dominate(table: Table, root: float) -> None:
     grid = interpolant(rough(table, 0.02))
     assert isinstance(grid, GridInterpolant)
+    vars(grid)["roots"] = np.full(len(grid.energy), root)
     part = grid.slice(vector_from_spherical(0.6, 0.2))
     assert isinstance(part, SphericalSlice)
-    channels = part.raw.shape[1]
+    channels = part.nodes[0].value.shape[1]
     field = SphericalField(part, np.full(channels, 1 / channels))
-    theta, phi = field.edges()
-    rng = np.random.default_rng(1)
-    i, j = rng.integers(0, len(theta) - 1, 3000), rng.integers(0, len(phi) - 1, 3000)
-    ends = np.sort(rng.random((2, 2, 3000)), axis=1)
-    cells = np.stack(
-        [theta[i] + ends[0, k] * (theta[i + 1] - theta[i]) for k in (0, 1)]
-        + [phi[j] + ends[1, k] * (phi[j + 1] - phi[j]) for k in (0, 1)],
-        axis=1,
+    envelope = BilinearEnvelope(field, 0.9, 4000, "rejection")
+    density, bound = envelope.attack(np.random.default_rng(1), 100_000)
+    assert not (density > bound).any()
+    assert np.nanmedian(density / bound) > 0.7
+    # The mass that is drawn from is that of a plain sum over the hemisphere.
+    u, phi = (np.arange(1500) + 0.5) / 1500, (np.arange(3000) + 0.5) / 3000 * 2 * np.pi - np.pi
+    plain = sum(
+        float(np.nan_to_num(field.density(np.full(3000, np.arcsin(np.sqrt(x))), phi)).mean()) for x in u
     )
-    bound = field.bound(cells)
-    t, p = points_in(cells, 40, rng)
-    density = field.density(t.reshape(-1), p.reshape(-1)).reshape(t.shape)
-    # A cell with a masked corner is not measured: neither bound nor density say anything there.
-    assert not (density > bound[:, None]).any()
+    assert envelope.info.integral == pytest.approx(np.pi * plain / 1500, rel=3e-3)
+
+
+def test_triangle_majorants_hold() -> None:
+    base = scattered(0.2, degrees=(10, 30), count=200)
+    rng = np.random.default_rng(5)
+    table = Table(wi=base.wi, wo=base.wo, value=10 ** rng.uniform(-3, 3, len(base)), symmetry="isotropic")
+    for degree in (10.0, 22.0):
+        part = interpolant(table).slice(vector_from_spherical(np.deg2rad(degree), 1.0))
+        envelope = part.envelope(np.ones(1), 0.9, 20_000, "rejection")
+        assert isinstance(envelope, TriangleEnvelope)
+        values, bound = envelope.attack(rng, 50_000)
+        assert not (values > bound).any()
+        assert envelope.info.acceptance > 0.8
 
 
 def test_range_maxima_against_brute_force() -> None:

@@ -190,7 +190,7 @@ def test_incidences_that_were_not_measured() -> None:
         samples = sampler.sample(steep, 5000, 0, allow_extrapolated=True)
         assert sampler.info(steep, allow_extrapolated=True).extrapolated
         assert (samples.wo[:, 2] > 0).all()
-    for wi in ([0, 0, -1.0], [0, 0, 2.0], [np.nan, 0, 1], [[0, 0, 1.0]]):
+    for wi in ([0, 0, -1.0], [0, 0, 2.0], [np.nan, 0, 1], [[0, 0, -1.0]], [[[0, 0, 1.0]]]):
         with pytest.raises(SpecError, match="wi must"):
             TableSampler(GRID).sample(wi, 10, 0)
 

@@ -1,0 +1,262 @@
+"""The interpolant of a table in an adaptive parameterisation: the file's own, by its own warp.
+
+Its samples are denser where the surface reflects much, and the file says what lies between them
+(:mod:`fitter.formats.adaptive`): f_r cos(theta_o) = data(s(m)) D(u(m)) / (4 sigma(u(wi))), m the half vector.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitter import directions
+from fitter.errors import TableError
+from fitter.formats.adaptive import Adaptive
+from fitter.formats.warp import lookup
+from fitter.sampling.axes import Axis
+from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
+from fitter.sampling.half_difference import Span
+from fitter.sampling.interpolant import in_chunks, pairs
+from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.maxima import BoxMaximum
+from fitter.table import Quantity
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_CHUNK = 1 << 14
+# Rounding of places in the uniform square.
+_SLACK = 1e-9
+# Columns of the cells to begin with; the rows are those of the warp.
+_COLUMNS = 32
+
+
+@dataclass(frozen=True)
+class AdaptiveInterpolant:
+    """``quantity`` is what the file's numbers are; NaN among its data was not measured."""
+
+    adaptive: Adaptive
+    quantity: Quantity
+    in_plane: bool = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The warp is several times the data, and computed again where it is needed.
+        return {"adaptive": replace(self.adaptive), "quantity": self.quantity, "in_plane": False}
+
+    def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """``(values, extrapolated)``, (M, C) in 1/sr and (M,), of direction pairs (M, 3) or (3,).
+
+        Where nothing was measured (NaN), 0.
+        """
+        return in_chunks(self._evaluate, wi, wo, self.adaptive.data.shape[1], _CHUNK)
+
+    def _evaluate(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, BoolArray]:
+        above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+        values = np.zeros((len(wi), self.adaptive.data.shape[1]))
+        values[above] = self.adaptive.evaluate(wi[above], wo[above])
+        if self.quantity == "ccbrdf":
+            values[above] /= wo[above, 2:]
+        elif self.quantity == "reflectance_factor":
+            values /= np.pi
+        missing = ~np.isfinite(values).all(axis=1)
+        values[missing] = 0.0
+        return values, ~above | missing | self._outside(wi)
+
+    def _outside(self, wi: FloatArray) -> BoolArray:
+        theta, _ = directions.spherical_from_vector(wi)
+        nodes = self.adaptive.theta_i
+        return (theta < nodes[0] - 1e-6) | (theta > nodes[-1] + 1e-6)
+
+    def slice(self, wi: ArrayLike) -> AdaptiveSlice:
+        """The interpolant at the one incidence ``wi`` (3,)."""
+        w = pairs(wi, wi)[0][:1]
+        return AdaptiveSlice(self, w[0], bool(self._outside(w)[0]) or bool(w[0, 2] <= 0))
+
+    def joint(
+        self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
+    ) -> JointEnvelope:
+        """Not offered: the slices of this parameterisation are no blends of those at measured incidences."""
+        raise TableError(
+            "incidences can't be drawn together with directions from a table in an adaptive parameterisation",
+            code="no-joint-draws", cause="its warp changes between incidences, without a known bound",
+            remedy="draw for incidences of your choice; or read the samples alone: fitter.Table(wi=table.wi, "
+            "wo=table.wo, value=table.value)",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AdaptiveSlice:
+    """One incidence ``wi`` (3,)."""
+
+    interpolant: AdaptiveInterpolant
+    wi: FloatArray
+    extrapolated: bool
+    preferred: Method = "rejection"
+
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
+        from fitter.sampling.cells import CellEnvelope
+
+        if method == "inversion":
+            raise no_inversion("a table in an adaptive parameterisation")
+        return CellEnvelope(AdaptiveField(self, weights), acceptance, cells)
+
+
+class BilinearMaximum:
+    """Largest values over rectangles of a bilinear image (H, W) on the unit square."""
+
+    def __init__(self, image: FloatArray) -> None:
+        self._image = image
+        self._x, self._y = (
+            Axis(name, np.linspace(0, 1, n), None) for name, n in zip("xy", image.shape[::-1], strict=True)
+        )
+        self._boxes = BoxMaximum(image)
+
+    def __call__(self, x0: FloatArray, x1: FloatArray, y0: FloatArray, y1: FloatArray) -> FloatArray:
+        """(K,). Within one cell of the image a bilinear function is largest at a corner of a rectangle; with
+        at most one line of nodes inside in each direction, where sides and lines cross; else the largest
+        node stands for it.
+        """
+        x, y = Span(self._x, x0, x1), Span(self._y, y0, y1)
+        most = self._boxes(y.first, y.last, x.first, x.last)
+        small = np.flatnonzero(x.few & y.few)
+        x, y = x.take(small), y.take(small)
+        within = np.full(len(small), -np.inf)
+        nodes = [[self._image[j, i] for i in x.nodes] for j in y.nodes]
+        for b in y.fractions:
+            row = [sum(w * nodes[j][i] for j, w in enumerate(b)) for i in range(3)]
+            for a in x.fractions:
+                within = np.maximum(within, sum(w * row[i] for i, w in enumerate(a)))
+        most[small] = within
+        return most
+
+
+class AdaptiveField:
+    """The chart is (u, v) of the half vector m: theta_m = u^2 pi/2, azimuth (2 v - 1) pi; its measure du dv.
+
+    With dwo = 4 (wi.m) dw_m and dw_m = sin(theta_m) (pi u du) (2 pi dv) the field is data(s) D (wi.m) 2 pi^2
+    u sin(theta_m) / sigma.
+    """
+
+    def __init__(self, part: AdaptiveSlice, weights: FloatArray) -> None:
+        table = part.interpolant
+        adaptive, self._quantity = table.adaptive, table.quantity
+        self.extrapolated = part.extrapolated
+        self._wi = part.wi
+        # The file's copies of the surface: drawn on the stored one, turned or mirrored back.
+        folded, _ = adaptive.folded(part.wi[None], part.wi[None])
+        self._sign = np.where(folded[0] * part.wi < 0, -1.0, 1.0)
+        self._wi = folded[0]
+        blend = adaptive.blend(folded)
+        theta_i, phi_i = (float(a[0]) for a in directions.spherical_from_vector(folded))
+        self._turn = phi_i if adaptive.isotropic else 0.0
+        share = [(int(node[0]), float(weight[0])) for node, weight in blend]
+        self._warp = adaptive.warp.blended(share)
+        raw = sum(w * adaptive.data[k].astype(np.float64) for k, w in share)
+        clamped = sum(w * np.maximum(adaptive.data[k].astype(np.float64), 0.0) for k, w in share)
+        self._channels = np.moveaxis(np.asarray(clamped), 0, -1)
+        self._clamped, self._raw = self._channels @ weights, np.moveaxis(np.asarray(raw), 0, -1) @ weights
+        self.clamps = bool(np.any(self._clamped != self._raw))
+        self._ndf = np.asarray(adaptive.ndf, np.float64) if adaptive.jacobian else np.full((2, 2), 4.0)
+        at = np.array([np.sqrt(theta_i * (2 / np.pi))]), np.array([np.mod(phi_i / (2 * np.pi) + 0.5, 1.0)])
+        self._sigma = float(lookup(adaptive.sigma, *at)[0]) if adaptive.jacobian else 1.0
+        self._most = BilinearMaximum(np.nan_to_num(self._clamped, nan=0.0)), BilinearMaximum(self._ndf)
+
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        return np.linspace(0, 1, _COLUMNS + 1), np.linspace(0, 1, self._warp.shape[0])
+
+    def measures(self, cells: FloatArray) -> FloatArray:
+        return (cells[:, 1] - cells[:, 0]) * (cells[:, 3] - cells[:, 2])
+
+    def measure(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.ones_like(a)
+
+    def tall(self, cells: FloatArray) -> BoolArray:
+        """The longer side as seen on the sphere of half vectors."""
+        u0, u1, v0, v1 = cells.T
+        return np.pi * u1 * (u1 - u0) >= np.sin(0.5 * np.pi * u1**2) * 2 * np.pi * (v1 - v0)
+
+    def place(
+        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        u0, u1, v0, v1 = cells
+        return np.minimum(u0 + u * (u1 - u0), u1), np.minimum(v0 + v * (v1 - v0), v1)
+
+    def _half(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        return directions.vector_from_spherical(a * a * (np.pi / 2), (2 * b - 1) * np.pi + self._turn)
+
+    def _square(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        zero = np.zeros(len(a), np.intp)
+        return self._warp.inverse([(zero, np.ones(len(a)))], a, b)
+
+    def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
+        m = self._half(a, b)
+        along = m @ self._wi
+        height = 2 * along * m[:, 2] - self._wi[2]
+        value = lookup(self._clamped if clamped else self._raw, *self._square(a, b))
+        value *= (
+            lookup(self._ndf, a, b) * along * (2 * np.pi**2 / self._sigma) * a * np.sin(a * a * (np.pi / 2))
+        )
+        if self._quantity != "ccbrdf":
+            value *= height / (1.0 if self._quantity == "brdf" else np.pi)
+        value[~((height > 0) & (along > 0))] = np.nan
+        return value
+
+    def bound(self, cells: FloatArray) -> FloatArray:
+        """Product of the bounds of the factors.
+
+        1. The data. t, the second coordinate of s, depends on v alone and grows with it. The first grows
+           with u; at fixed u it is ((1 - x) p + x q)/((1 - x) P + x Q) with x linear in v between two rows of
+           the warp, a fraction of linear functions without a pole, so monotone in v there. A function that is
+           monotone in each variable takes its extremes over a rectangle at corners: they give a rectangle
+           that holds s. Cells begin as the warp's rows and are only ever halved.
+        2. D: on the cell itself.
+        3. wi.m is the cosine of an angle that is at least the centre's less the cell's radius, which is as in
+           :class:`fitter.sampling.half_difference.HalfDifferenceField`.
+        4. u sin(theta_m) grows with u.
+        """
+        u0, u1, v0, v1 = cells.T
+        corners = [self._square(u, v) for u in (u0, u1) for v in (v0, v1)]
+        s, t = (np.stack(column) for column in zip(*corners, strict=True))
+        most, ndf = self._most
+        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -_SLACK), (np.max, _SLACK))))
+        theta0, theta1 = u0 * u0 * (np.pi / 2), u1 * u1 * (np.pi / 2)
+        theta, turn = 0.5 * (theta0 + theta1), 2 * np.pi * (v1 - v0)
+        centre = directions.vector_from_spherical(theta, (v0 + v1 - 1) * np.pi + self._turn)
+        across = np.sin(theta) * np.sin(theta1) * np.sin(0.25 * turn) ** 2
+        radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
+        angle = np.arctan2(np.linalg.norm(np.cross(centre, self._wi), axis=1), centre @ self._wi)
+        along = np.maximum(np.cos(np.maximum(angle - radius - 1e-12, 0.0)), 0.0)
+        value *= ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(theta1)
+        # wo is 2 (wi.m) m - wi: all below the horizon where even the largest factors leave it there.
+        value[2 * along * np.cos(theta0) < self._wi[2] * (1 - 1e-9)] = 0.0
+        return np.maximum(value, 0.0) * (1 + ROUNDING)
+
+    def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        along = np.maximum(self._half(a, b) @ self._wi, 0.0)
+        return 8 * np.pi**2 * along * a * np.sin(a * a * (np.pi / 2))
+
+    def directions(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        m = self._half(a, b)
+        return (2 * (m @ self._wi)[:, None] * m - self._wi) * self._sign
+
+    def coordinates(self, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
+        theta, phi = directions.spherical_from_vector(wo * self._sign + self._wi)
+        return np.sqrt(theta * (2 / np.pi)), np.mod((phi - self._turn) / (2 * np.pi) + 0.5, 1.0)
+
+    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+        size = self.solid_angle(a, b) * self.directions(a, b)[:, 2]
+        return field / np.where(size > 0, size, np.inf)
+
+    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        s = self._square(a, b)
+        found = np.stack([lookup(self._channels[..., c], *s) for c in range(self._channels.shape[2])], axis=1)
+        height = self.directions(a, b)[:, 2]
+        factor = lookup(self._ndf, a, b) / (4 * self._sigma)
+        if self._quantity == "ccbrdf":
+            factor = factor / np.where(height > 0, height, np.inf)
+        elif self._quantity == "reflectance_factor":
+            factor = factor / np.pi
+        return found * np.where(height > 0, factor, np.nan)[:, None]

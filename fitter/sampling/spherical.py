@@ -1,0 +1,172 @@
+"""One slice of a grid in incoming and outgoing angles as a function of (theta_o, azimuth).
+
+A slice is a sum, over the incidences of the grid that it is blended from and over channels, of
+``coefficient * g^k``: g is bilinear between the k-th roots of the node values. k is 1 except where a lobe is
+so narrow against the grid that straight lines between its nodes would create energy
+(:mod:`fitter.sampling.energy`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.sampling.axes import Axis, Place, corners, fractions_at_ends
+from fitter.sampling.envelope import Envelope, Method
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Node:
+    """One incidence of the grid: its weight in the slice, values (T P, C) as measured, its root, and what
+    its energy is known to."""
+
+    weight: float
+    value: FloatArray
+    root: float
+    energy_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class SphericalSlice:
+    """One incidence of a grid in incoming and outgoing angles.
+
+    usable : (T P,). rotation : azimuth to add to the slice's own to come back to the sample's frame.
+    """
+
+    outgoing: tuple[Axis, ...]
+    nodes: tuple[Node, ...]
+    usable: BoolArray
+    rotation: float
+    extrapolated: bool
+    preferred: Method = "rejection"
+
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
+        from fitter.sampling.bilinear import BilinearEnvelope
+
+        return BilinearEnvelope(SphericalField(self, weights), acceptance, cells, method)
+
+
+@dataclass(frozen=True)
+class _Term:
+    coefficient: float
+    nodes: FloatArray  # (T P,) roots of the values, NaN where not usable
+    power: float
+
+
+class SphericalField:
+    """f+ of a slice, channels weighted; NaN outside the measured domain."""
+
+    def __init__(self, part: SphericalSlice, weights: FloatArray) -> None:
+        self.rotation, self.extrapolated = part.rotation, part.extrapolated
+        self._theta, self._phi = part.outgoing
+        self._shape = (len(self._theta.nodes), len(self._phi.nodes))
+        self._hole = np.where(part.usable, 0.0, np.nan)
+        self.count = len(weights)
+        self.energy_error = sum(node.weight * node.energy_error for node in part.nodes)
+        self.linear = all(node.root == 1 for node in part.nodes)
+        used = [node.value[part.usable] for node in part.nodes]
+        self.clamps = any(bool((value < 0).any()) for value in used)
+        self._channels = [self._terms(part.nodes, c, clamped=True) for c in np.eye(self.count)]
+        self._weighted = self._terms(part.nodes, weights, clamped=True)
+        self._raw = self._terms(part.nodes, weights, clamped=False) if self.clamps else self._weighted
+
+    def _terms(self, nodes: Sequence[Node], weights: FloatArray, *, clamped: bool) -> list[_Term]:
+        if self.linear:
+            total = np.zeros(len(self._hole))
+            for node in nodes:
+                total += node.weight * ((np.maximum(node.value, 0.0) if clamped else node.value) @ weights)
+            return [_Term(1.0, total + self._hole, 1.0)]
+        found: list[_Term] = []
+        for node in nodes:
+            for channel in np.flatnonzero(weights):
+                value = node.value[:, channel]
+                value = np.maximum(value, 0.0) if clamped else value
+                found.append(
+                    _Term(
+                        node.weight * weights[channel], powered(value, 1 / node.root) + self._hole, node.root
+                    )
+                )
+        return found
+
+    def cells(self, tallest: float) -> FloatArray:
+        """(K, 4) theta0, theta1, phi0, phi1: the grid's cells within the hemisphere, cut to ``tallest``."""
+        theta, phi = self._theta.breakpoints(0.0, np.pi / 2), self._phi.breakpoints(-np.pi, np.pi)
+        pieces = np.ceil(np.diff(theta) / tallest).astype(int)
+        fine = [
+            np.linspace(a, b, n, endpoint=False)
+            for a, b, n in zip(theta[:-1], theta[1:], pieces, strict=True)
+        ]
+        theta = np.append(np.concatenate(fine), theta[-1])
+        i, j = np.meshgrid(np.arange(len(theta) - 1), np.arange(len(phi) - 1), indexing="ij")
+        i, j = i.reshape(-1), j.reshape(-1)
+        return np.stack([theta[i], theta[i + 1], phi[j], phi[j + 1]], axis=1)
+
+    def _places(self, theta: FloatArray, phi: FloatArray) -> tuple[Place, Place]:
+        return self._theta.locate(theta), self._phi.locate(self._wrapped(phi))
+
+    def _wrapped(self, phi: FloatArray) -> FloatArray:
+        start = self._phi.nodes[0]
+        return start + np.mod(phi - start, self._phi.period or 2 * np.pi)
+
+    def _at_corners(self, rectangles: FloatArray, terms: Sequence[Sequence[_Term]]) -> FloatArray:
+        """(len(terms), 4, K) values at (low, low), (low, high), (high, low), (high, high) of theta, phi."""
+        theta0, theta1, phi0, phi1 = rectangles.T
+        # The cell's own side of each node, which rounding at its corners would not tell.
+        middle = self._wrapped(0.5 * (phi0 + phi1))
+        places = self._theta.locate(0.5 * (theta0 + theta1)), self._phi.locate(middle)
+        ends = [
+            fractions_at_ends(axis, place, 0.5 * length)
+            for axis, place, length in zip(
+                (self._theta, self._phi), places, (theta1 - theta0, phi1 - phi0), strict=True
+            )
+        ]
+        back = self._phi.mirrored(middle)
+        ends[1] = np.where(back, ends[1][1], ends[1][0]), np.where(back, ends[1][0], ends[1][1])
+        found = np.empty((len(terms), 4, len(rectangles)))
+        for corner in range(4):
+            s, t = ends[0][corner // 2], ends[1][corner % 2]
+            at = (places[0]._replace(fraction=s), places[1]._replace(fraction=t))
+            for k, some in enumerate(terms):
+                found[k, corner] = self._blend(at, some)
+        return found
+
+    def corners(self, rectangles: FloatArray, *, clamped: bool = True) -> FloatArray:
+        """(K, 4) weighted values at corners of cells inside one cell of the grid; NaN where unmeasured."""
+        return self._at_corners(rectangles, [self._weighted if clamped else self._raw])[0].T
+
+    def corners_of_channels(self, rectangles: FloatArray) -> FloatArray:
+        """(C, 4, K), as :meth:`corners` for every channel."""
+        return self._at_corners(rectangles, self._channels)
+
+    def _blend(self, places: tuple[Place, Place], terms: Sequence[_Term]) -> FloatArray:
+        around = corners(places, self._shape)
+        total = np.zeros(len(places[0].low))
+        for term in terms:
+            root = np.zeros(len(total))
+            for index, weight in around:
+                root += weight * term.nodes.take(index)
+            total += term.coefficient * powered(root, term.power)
+        total[~(places[0].measured & places[1].measured)] = np.nan
+        return total
+
+    def density(self, theta: FloatArray, phi: FloatArray, *, clamped: bool = True) -> FloatArray:
+        """(M,) weighted value."""
+        return self._blend(self._places(theta, phi), self._weighted if clamped else self._raw)
+
+    def values(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
+        """(M, C) f+ of every channel."""
+        places = self._places(theta, phi)
+        return np.stack([self._blend(places, terms) for terms in self._channels], axis=1)
+
+
+def powered(x: FloatArray, power: float | FloatArray) -> FloatArray:
+    """x^power, with the sign of x."""
+    if np.ndim(power) == 0 and power == 1:
+        return x
+    return np.sign(x) * np.abs(x) ** power
