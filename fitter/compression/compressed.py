@@ -214,16 +214,17 @@ class CompressedTable:
 
 
 def compress(
-    table: Table, tolerance: float | Literal["noise"], *, floor: ArrayLike | None = None, tile: int = TILE
-) -> CompressedTable:
+    table: Table, tolerance: float | Literal["noise"], *,
+    floor: ArrayLike | Mapping[str, float] | None = None, tile: int = TILE,
+) -> CompressedTable:  # fmt: skip
     """``table`` smaller, with |error| <= ``tolerance`` (|f| + ``floor``) for every finite value.
 
     Parameters
     ----------
     tolerance : relative, in [0, 1); 0 keeps every bit; "noise": the bound is one standard deviation of the
         table's noise, stated or estimated (:func:`fitter.compression.noise.bound_from_noise`).
-    floor : 1/sr, one number or one per channel, positive; default 1 % of the median |f| of each
-        channel's usable samples that are not 0, and with "noise" what that says.
+    floor : 1/sr, one number, one per channel, or some by channel name, positive; default 1 % of the median
+        |f| of each channel's usable samples that are not 0, and with "noise" what that says.
     tile : samples of a tile, the part that can be unpacked alone.
 
     Values that are not finite, the mask, sigma, directions or axes, channels and metadata are kept
@@ -245,7 +246,7 @@ def compress(
             parameter="tolerance", remedy="give a relative error such as 0.01; 0 keeps every bit",
         )  # fmt: skip
     if floor is not None:
-        floors = _given_floor(floor, channels)
+        floors = _given_floor(floor, [channel.name for channel in table.channels], floors)
     shape = shape_of(table)
     coded = coding.encode(table.value, shape, float(tolerance), floors, tile)
     tolerance = coded.scale.tolerance
@@ -312,11 +313,22 @@ def _default_floor(table: Table) -> FloatArray:
     return floors
 
 
-def _given_floor(floor: ArrayLike, channels: int) -> FloatArray:
-    given = np.asarray(floor, np.float64)
-    if given.shape not in ((), (1,), (channels,)) or not (np.isfinite(given) & (given > 0)).all():
+def _given_floor(
+    floor: ArrayLike | Mapping[str, float], names: list[str], usual: FloatArray
+) -> FloatArray:
+    if isinstance(floor, Mapping):
+        unknown = [name for name in floor if name not in names]
+        if unknown:
+            raise SpecError(
+                f"the table has no channel {unknown[0]!r}", code="unknown-channel", parameter="floor",
+                remedy=f"its channels are {', '.join(names)}",
+            )  # fmt: skip
+        given = np.array([floor.get(name, default) for name, default in zip(names, usual, strict=True)])
+    else:
+        given = np.asarray(floor, np.float64)
+    if given.shape not in ((), (1,), (len(names),)) or not (np.isfinite(given) & (given > 0)).all():
         raise SpecError(
-            f"floor must be a positive number, or one per channel ({channels})", code="bad-floor",
+            f"floor must be a positive number, or one per channel ({len(names)})", code="bad-floor",
             parameter="floor", remedy="leave it out for 1 % of each channel's median",
         )  # fmt: skip
-    return np.broadcast_to(given, (channels,)).copy()
+    return np.broadcast_to(given, (len(names),)).copy()

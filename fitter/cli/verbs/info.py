@@ -41,6 +41,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     folder = None if given.plot is None else output_folder(given.plot, "plot")
     tables = load_all(given.table, **reading.reading_options(given).to_dict())
     described: list[dict[str, Any]] = [{**describe(table), **overview(table)} for table in tables]
+    if len(described) == 1 and reading.is_container(given.table):
+        described[0]["container"] = reading.open_container(given.table).describe()
     if folder is not None:
         for one, path in zip(described, _draw(tables, folder, screen), strict=True):
             one["picture"] = str(path)
