@@ -84,7 +84,10 @@ def decode(
     if len(text) < length or zlib.crc32(text) != crc:
         message = "the header is damaged, and without it no block can be read"
         raise damaged(message, file, "header", whole=True)
-    header = cast("dict[str, Any]", json.loads(unsqueezed(text)))
+    try:
+        header = cast("dict[str, Any]", json.loads(unsqueezed(text)))
+    except ValueError as error:
+        raise damaged(f"the header can't be unpacked ({error})", file, "header", whole=True) from error
     blocks: dict[str, Block] = {}
     lost: dict[str, str] = {}
     start = _PREFIX.size + length
