@@ -148,9 +148,14 @@ class Rules:
         return self._remember(key, weights, widths)
 
     def choose(
-        self, key: tuple[int, int], seen: Seen, target: FloatArray, good: NDArray[np.bool_]
+        self, key: tuple[int, int], seen: Seen, target: FloatArray, times: FloatArray, owed: float
     ) -> tuple[list[int], list[int]]:
-        """The same, fitted to ``target`` (*nodes) where ``good``, and written down."""
+        """The same, fitted to ``target`` (*nodes) where ``times`` is not 0, and written down.
+
+        times : how many samples each node stands for. owed : the sum of these nodes' errors that would bring
+        that of all nodes so far to nothing.
+        """
+        good = times > 0
         rows = np.flatnonzero(good)
         rows = rows[:: max(1, len(rows) // _FITTED_TO)]
         t = target.reshape(-1)[rows]
@@ -172,7 +177,9 @@ class Rules:
             for number, weights in options
         ]
         number, weights = options[int(np.argmin(costs))]
-        centred = _centred(few, t, weights) if len(rows) >= FEWEST else weights
+        centred = weights
+        if len(rows) >= FEWEST:
+            centred = _centred(seen, target, weights, times / times.sum(), owed / float(times.sum()))
         if number == _OWN:
             self.written += [number, *(weight + 128 for weight in centred)]
         elif centred[-1] != weights[-1]:
@@ -225,13 +232,19 @@ def _fitted_weights(seen: Seen, target: FloatArray) -> list[int]:
     return [int(w) for w in np.clip(np.rint(found / units), -128, 127)]
 
 
-def _centred(seen: Seen, target: FloatArray, weights: Sequence[int]) -> list[int]:
-    """The weights with the constant for which the errors, which are what rounding leaves, have no mean."""
-    found = list(weights)
-    for _ in range(3):
-        left = target - seen.predicted(found)
-        sign = float(np.mean(left - np.rint(left)))
-        found[-1] = int(np.clip(found[-1] + np.rint(sign / _FINE), -128, 127))
+def _centred(
+    seen: Seen, target: FloatArray, weights: Sequence[int], share: FloatArray, goal: float
+) -> list[int]:
+    """The weights with the constant for which the errors, which are what rounding leaves, have the mean
+    ``goal``, each counting its ``share``."""
+    found, best = list(weights), np.inf
+    trial = list(weights)
+    for _ in range(4):
+        left = target - seen.predicted(trial)
+        off = float((share * (np.rint(left) - left)).sum()) - goal
+        if abs(off) < best:
+            found, best = list(trial), abs(off)
+        trial[-1] = int(np.clip(trial[-1] - np.rint(off / _FINE), -128, 127))
     return found
 
 

@@ -25,8 +25,8 @@ BoolArray = NDArray[np.bool_]
 
 #: Numbers below this are worked on in single precision, which is right to 1/250 of a step there.
 SINGLE = float(1 << 15)
-#: What is tried until the mean error of each channel is below _LEANING (steps; the bound is half a step), and
-#: the fewest numbers for which a mean says anything.
+#: Starts that are tried until the mean error of each channel is below _LEANING (steps; the bound is half a
+#: step), and the fewest numbers for which a mean says anything.
 _STARTS, _LEANING, _FEW = (0.0, 0.25, -0.25, 0.125, -0.375), 0.006, 2000
 #: What the tokens stand for that no bits follow.
 _DIRECT = np.array([(k >> 1) ^ -(k & 1) for k in range(entropy.DIRECT)])
@@ -40,18 +40,14 @@ def encode(steps: FloatArray, times: FloatArray) -> tuple[bytes, FloatArray]:
 
     times : (*shape) how many of the table's samples each node stands for.
     Where a correction would be too large to code there is none: the caller compares. Errors are spread evenly
-    over a step, but where values repeat they may lean to one side; then another start is tried, which turns
-    all errors into others.
+    over a step; what they lean to one side the constants of later predictions make up for, as far as errors
+    are smaller than a step. Where they are not, another start turns all of them into others.
     """
     good = np.isfinite(steps)
-    filled = _filled(steps)
-    weight = good * times
-    weight /= np.maximum(weight.sum(axis=tuple(range(1, weight.ndim)), keepdims=True), 1.0)
+    filled, every = _filled(steps), good * times
     best: tuple[float, bytes, FloatArray] | None = None
     for start in _STARTS:
-        data, decoded = _encode(filled, good, start)
-        error = (weight * np.where(good, decoded - filled, 0.0)).reshape(len(good), -1).sum(axis=1)
-        leaning = float(np.abs(error).max(initial=0.0))
+        data, decoded, leaning = _encode(filled, good, every, start)
         if best is None or leaning < best[0]:
             best = leaning, data, decoded
         if leaning <= _LEANING or good.size < _FEW:
@@ -60,8 +56,12 @@ def encode(steps: FloatArray, times: FloatArray) -> tuple[bytes, FloatArray]:
     return best[1], best[2]
 
 
-def _encode(filled: FloatArray, good: BoolArray, start: float) -> tuple[bytes, FloatArray]:
-    """The same of numbers without gaps, the first node's being ``start`` off."""
+def _encode(
+    filled: FloatArray, good: BoolArray, every: FloatArray, start: float
+) -> tuple[bytes, FloatArray, float]:
+    """The same of numbers without gaps, the first node's being ``start`` off; and the largest mean error of a
+    channel, nodes counting ``every`` (C, *shape) times."""
+    leaning = np.zeros(len(filled))
     rules = Rules()
     coder = entropy.Encoder()
     rest: list[IntArray] = []
@@ -69,10 +69,12 @@ def _encode(filled: FloatArray, good: BoolArray, start: float) -> tuple[bytes, F
 
     def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
         target, here = filled[stage.target][k], good[stage.target][k]
-        weights, widths = rules.choose((stage.axis, k), seen, target, here)
+        share = every[stage.target][k]
+        weights, widths = rules.choose((stage.axis, k), seen, target, share, -float(leaning[k]))
         predicted, width = seen.predicted(weights), seen.width(widths)
         correction = np.rint(target - predicted)
         correction[~here | (np.abs(correction) > entropy.LARGEST)] = 0.0
+        leaning[k] += float((share * (predicted + correction - target)).sum())
         token, count, low = entropy.tokens(correction[here].astype(np.int64))
         coder.write(token, classes(width)[here])
         bits.append(count[count > 0])
@@ -92,7 +94,8 @@ def _encode(filled: FloatArray, good: BoolArray, start: float) -> tuple[bytes, F
         entropy.pack_bits(np.concatenate([*rest, none]), np.concatenate([*bits, none])).tobytes(),
         words.astype("<u4").tobytes(),
     ]
-    return pack_parts(parts), decoded.astype(np.float64)
+    mean = leaning / np.maximum(every.reshape(len(every), -1).sum(axis=1), 1.0)
+    return pack_parts(parts), decoded.astype(np.float64), float(np.abs(mean).max(initial=0.0))
 
 
 def decode(data: bytes, good: BoolArray) -> FloatArray:
