@@ -145,4 +145,4 @@ def _mirrored(row: int, n: int) -> int:
 
 
 def _at(axis: int, index: int | slice) -> tuple[int | slice, ...]:
-    return (*(slice(None) for _ in range(axis)), index)
+    return (*(slice(None),) * axis, index)
