@@ -73,10 +73,7 @@ def encode(
         used = Scale(tolerance, floor, step * (1.0 - scale.FOLDED_GUARD))
         cube, folds = _folded(value, shape, used)
     places = boxes(folds.shape, most)
-    times = folds.times
-    coded = [
-        _encode_box(cube[(slice(None), *box.slices)], times[box.slices], used.exact) for box in places
-    ]
+    coded = [_encode_box(cube[(slice(None), *box.slices)], used.exact) for box in places]
     channels = value.shape[1]
     stored = np.empty((*folds.shape, channels))
     for box, (_, back) in zip(places, coded, strict=True):
@@ -102,12 +99,12 @@ def _folded(value: FloatArray, shape: tuple[int, ...], used: Scale) -> tuple[Flo
     return fold(steps, exact=used.exact)
 
 
-def _encode_box(steps: FloatArray, times: FloatArray, exact: bool) -> tuple[list[bytes], FloatArray]:
+def _encode_box(steps: FloatArray, exact: bool) -> tuple[list[bytes], FloatArray]:
     """The parts of a tile (C, *shape), and what it decodes to."""
     if exact:
         return [pack_array(steps), b"", b""], steps
     good = np.isfinite(steps)
-    coded, back = tile.encode(steps, times)
+    coded, back = tile.encode(steps)
     if good.all():
         return [coded, b"", b""], back
     others = steps[~good].astype("<f8").tobytes()

@@ -36,6 +36,8 @@ EXPONENTS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0)
 _SMALLEST_SCALE = -40
 #: Least probability of a token, of the most probable one's: the coder can't resolve much less.
 _LEAST = 2.0**-18
+#: What numbers may be shifted by, see fitter.compression.dither: middles of quarters of half a step.
+SHIFTS = (0.0625, 0.1875, 0.3125, 0.4375)
 _QUARTERS = (1.0, 1.189207115002721, 1.4142135623730951, 1.681792830507429)
 
 
@@ -48,20 +50,23 @@ class Distribution:
     top: int
 
     @cached_property
-    def model(self) -> Any:
-        """For the coder: probabilities of the tokens 0 to ``top``, of two at least."""
-        p = _weights(self.scale, self.exponent)[: max(2, self.top + 1)]
+    def models(self) -> list[Any]:
+        """For the coder, one for each of SHIFTS: probabilities of the tokens 0 to ``top`` (1 at least)."""
+        return [self._model(shift) for shift in SHIFTS]
+
+    def _model(self, shift: float) -> Any:
+        p = _weights(self.scale, self.exponent, shift)[: max(2, self.top + 1)]
         p = np.maximum(p / p[int(np.argmax(p))], _LEAST)
         return _stream.model.Categorical(p, perfect=False)
 
 
-def _weights(scale: int, exponent: int) -> FloatArray:
+def _weights(scale: int, exponent: int, shift: float) -> FloatArray:
     """(tokens,) what each token weighs, before division by their sum."""
     octave, quarter = divmod(scale + _SMALLEST_SCALE, 4)
     s = np.ldexp(_QUARTERS[quarter], octave)
     m = EXPONENTS[exponent]
     middle, width = _buckets()
-    base = 1.0 + np.square(middle / s) / (2.0 * m)
+    base = 1.0 + np.square((middle - shift) / s) / (2.0 * m)
     return width / _power(base, m)
 
 
@@ -78,13 +83,14 @@ def _power(base: FloatArray, exponent: float) -> FloatArray:
 
 
 def _buckets() -> tuple[FloatArray, FloatArray]:
-    """(tokens,) |number| in the middle of each token, and how many numbers it holds."""
+    """(tokens,) the number in the middle of each token (its size where it holds both signs), and how many
+    numbers it holds."""
     token = np.arange(_TOKENS)
     octave, part = np.divmod(token - DIRECT, 1 << MANTISSA)
     bits = np.where(token < DIRECT, 0, octave + _FIRST_OCTAVE - MANTISSA)
     low = np.where(token < DIRECT, token, ((1 << MANTISSA) + part) << np.maximum(bits, 0))
     width = np.left_shift(1, bits).astype(np.float64)
-    return np.where(token < DIRECT, (token + 1) // 2, 0.5 * (low + 0.5 * width)), width
+    return np.where(token < DIRECT, (token >> 1) ^ -(token & 1), 0.5 * (low + 0.5 * width)), width
 
 
 def tokens(numbers: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -109,19 +115,22 @@ def bits_of(token: IntArray) -> IntArray:
     return np.where(token < DIRECT, 0, ((token - DIRECT) >> MANTISSA) + _FIRST_OCTAVE - MANTISSA)
 
 
-def fitted(token: IntArray) -> Distribution:
-    """The distribution that codes these tokens in the fewest bits."""
-    count = np.bincount(token)
-    top = len(count) - 1
-    middle, width = (part[: max(2, top + 1)] for part in _buckets())
-    mean = float((count * middle[: top + 1]).sum() / count.sum())
+def fitted(token: IntArray, shift: IntArray) -> Distribution:
+    """The distribution that codes these tokens, of numbers shifted by SHIFTS[shift], in the fewest bits."""
+    top = int(token.max())
+    used = max(2, top + 1)
+    count = np.bincount(shift * used + token, minlength=len(SHIFTS) * used).reshape(len(SHIFTS), 1, used)
+    middle, width = (part[:used] for part in _buckets())
+    mean = float((count * np.abs(middle)).sum() / count.sum())
     nominal = round(4 * np.log2(max(mean, 2.0**-9))) - _SMALLEST_SCALE
     scales = np.arange(max(0, nominal - 14), max(1, nominal + 9))
-    s = np.exp2((scales + _SMALLEST_SCALE) / 4)[:, None, None]
+    s = np.exp2((scales + _SMALLEST_SCALE) / 4)[:, None, None, None]
     m = np.array(EXPONENTS)[:, None]
-    log_p = np.log2(width) - m * np.log2(1.0 + np.square(middle / s) / (2.0 * m))
+    away = np.abs(middle - np.array(SHIFTS)[:, None, None])
+    log_p = np.log2(width) - m * np.log2(1.0 + np.square(away / s) / (2.0 * m))
     log_p = np.maximum(log_p - log_p.max(axis=-1, keepdims=True), np.log2(_LEAST))
-    cost = count.sum() * np.log2(np.exp2(log_p).sum(axis=-1)) - log_p[..., : top + 1] @ count
+    bits = count.sum(axis=-1) * np.log2(np.exp2(log_p).sum(axis=-1)) - (log_p * count).sum(axis=-1)
+    cost = bits.sum(axis=1)
     row, exponent = np.unravel_index(int(np.argmin(cost)), cost.shape)
     return Distribution(int(scales[row]), int(exponent), top)
 
@@ -133,18 +142,20 @@ class Encoder:
         self._groups: list[tuple[IntArray, NDArray[np.uint8]]] = []
 
     def write(self, token: IntArray, kind: NDArray[np.uint8]) -> None:
-        """A group of tokens, each of its class ``kind``."""
+        """A group of tokens, each of its ``kind``: SHIFTS times its class, and its shift."""
         self._groups.append((token, kind))
 
     def finish(self) -> tuple[dict[int, Distribution], NDArray[np.uint32]]:
         """The distribution of each class that was met, fitted to its tokens, and the words."""
         token = np.concatenate([*(group[0] for group in self._groups), np.zeros(0, np.int64)])
         kind = np.concatenate([*(group[1] for group in self._groups), np.zeros(0, np.uint8)])
-        distributions = {int(u): fitted(token[kind == u]) for u in np.unique(kind)}
+        own, shift = kind // len(SHIFTS), (kind % len(SHIFTS)).astype(np.int64)
+        distributions = {int(u): fitted(token[own == u], shift[own == u]) for u in np.unique(own)}
         coder = _stream.queue.RangeEncoder()
         for tokens_, kinds in self._groups:
             for u, rows in by_class(kinds):
-                coder.encode(tokens_[rows].astype(np.int32), distributions[u].model)
+                model = distributions[u // len(SHIFTS)].models[u % len(SHIFTS)]
+                coder.encode(tokens_[rows].astype(np.int32), model)
         return distributions, coder.get_compressed()
 
 
@@ -156,13 +167,14 @@ class Decoder:
         self._coder = _stream.queue.RangeDecoder(words)
 
     def read(self, kind: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """The tokens of the next group, of the classes ``kind``. Raises ValueError for data that has none."""
+        """The tokens of the next group, of these kinds. Raises ValueError for data that has none."""
         found = np.empty(len(kind), np.int32)
         for u, rows in by_class(kind):
-            if u not in self._distributions:
-                raise ValueError(f"a number of the class {u}, which has no distribution")
+            own, shift = divmod(u, len(SHIFTS))
+            if own not in self._distributions:
+                raise ValueError(f"a number of the class {own}, which has no distribution")
             try:
-                found[rows] = self._coder.decode(self._distributions[u].model, len(rows))
+                found[rows] = self._coder.decode(self._distributions[own].models[shift], len(rows))
             except AssertionError as error:  # what the coder raises for data that no encoder wrote
                 raise ValueError(str(error)) from error
         return found

@@ -43,14 +43,6 @@ class Folds:
         """Whether nothing is there twice."""
         return self.shape == self.full
 
-    @property
-    def times(self) -> FloatArray:
-        """(*shape) how many of the table's samples each stored node is."""
-        found = np.ones(())
-        for rows in self.rows:
-            found = found[..., None] * np.bincount(rows)
-        return found
-
     def stored(self, index: NDArray[np.integer[Any]]) -> tuple[IntArray, ...]:
         """Rows of the stored array, one (n,) for each axis, of the table's samples ``index`` (n,)."""
         where = np.unravel_index(index, self.full)

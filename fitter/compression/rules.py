@@ -22,8 +22,6 @@ FloatArray = NDArray[np.float64]
 
 #: Weights of the prediction are multiples of this.
 _UNIT = 1.0 / 64.0
-#: The constant of the prediction is a multiple of this, in steps.
-_FINE = 1.0 / 256.0
 #: Stages with fewer nodes take one of the stated rules: a fitted one would cost more than it saves.
 FEWEST = 200
 #: Nodes that a rule is fitted to, evenly chosen.
@@ -31,8 +29,6 @@ _FITTED_TO = 16_384
 #: The cubic through four nodes: -1/16 each of the two outer ones (Catmull-Rom at the middle).
 _CUBIC = -8
 _PREVIOUS, _OWN = 4, 5
-#: Added to the number of a rule that gets another constant.
-_CENTRED = 8
 #: Width classes: half octaves of the expected |error| in steps, from 2^_NARROWEST.
 _NARROWEST, CLASSES = -7, 48
 #: Weight of each sign, and of the constant, where nothing has been learnt.
@@ -64,24 +60,21 @@ class Seen:
         return Seen(sums, near.counts, list(corrections), signs)
 
     def predicted(self, weights: Sequence[int]) -> Numbers:
-        """The sum of the means, which the weights (of all but the first) mix, of the corrections, and of a
-        constant, the last weight: without it errors on a convex surface would have a sign."""
+        """The sum of the means, which the weights (of all but the first) mix, and of the corrections."""
         others = len(self.sums) - 1
         number = self.sums[0].dtype.type
         found = self.sums[0] * number((1.0 - _UNIT * sum(weights[:others])) / self.counts[0])
         counts = [*self.counts[1:], *(1 for _ in self.corrections)]
         parts = [*self.sums[1:], *self.corrections]
-        for weight, part, count in zip(weights, parts, counts, strict=False):
+        for weight, part, count in zip(weights, parts, counts, strict=True):
             if weight:
                 found += part * number(_UNIT * weight / count)
-        if weights[-1]:
-            found += number(_FINE * weights[-1])
         return found
 
     @property
     def count(self) -> int:
         """How many weights a prediction has."""
-        return len(self.sums) + len(self.corrections)
+        return len(self.sums) - 1 + len(self.corrections)
 
     def width(self, weights: Sequence[int]) -> Numbers:
         """Expected |error| in steps; weights are coded as in :func:`_coded`, the first is the constant."""
@@ -98,7 +91,7 @@ class Seen:
         weights = [0] * self.count
         weights[0] = cubic * _CUBIC
         if self.corrections:
-            weights[-2] = 64 * with_correction
+            weights[-1] = 64 * with_correction
         return weights
 
 
@@ -134,28 +127,21 @@ class Rules:
 
     def read(self, key: tuple[int, int], seen: Seen) -> tuple[list[int], list[int]]:
         """The weights of the prediction and of the width. Raises ValueError where they end early."""
-        centred, number = divmod(self._next(1)[0], _CENTRED)
+        number = self._next(1)[0]
         if number == _OWN:
             weights = [byte - 128 for byte in self._next(seen.count)]
         elif number == _PREVIOUS:
             weights = self._predictions[key]
         else:
             weights = seen.stated(number)
-        if centred:
-            weights = [*weights[:-1], self._next(1)[0] - 128]
         own = self._next(1)[0]
         widths = self._next(1 + len(seen.signs)) if own else self._usual_widths(key, seen)
         return self._remember(key, weights, widths)
 
     def choose(
-        self, key: tuple[int, int], seen: Seen, target: FloatArray, times: FloatArray, owed: float
+        self, key: tuple[int, int], seen: Seen, target: FloatArray, good: NDArray[np.bool_]
     ) -> tuple[list[int], list[int]]:
-        """The same, fitted to ``target`` (*nodes) where ``times`` is not 0, and written down.
-
-        times : how many samples each node stands for. owed : the sum of these nodes' errors that would bring
-        that of all nodes so far to nothing.
-        """
-        good = times > 0
+        """The same, fitted to ``target`` (*nodes) where ``good``, and written down."""
         rows = np.flatnonzero(good)
         rows = rows[:: max(1, len(rows) // _FITTED_TO)]
         t = target.reshape(-1)[rows]
@@ -177,16 +163,9 @@ class Rules:
             for number, weights in options
         ]
         number, weights = options[int(np.argmin(costs))]
-        centred = weights
-        if len(rows) >= FEWEST:
-            centred = _centred(seen, target, weights, times / times.sum(), owed / float(times.sum()))
+        self.written.append(number)
         if number == _OWN:
-            self.written += [number, *(weight + 128 for weight in centred)]
-        elif centred[-1] != weights[-1]:
-            self.written += [number + _CENTRED, centred[-1] + 128]
-        else:
-            self.written.append(number)
-        weights = centred
+            self.written += [weight + 128 for weight in weights]
         if len(rows) >= FEWEST:
             widths = _fitted_widths(few, np.abs(t - few.predicted(weights)))
             self.written += [1, *widths]
@@ -218,8 +197,7 @@ class Rules:
 def _fitted_weights(seen: Seen, target: FloatArray) -> list[int]:
     """Weights of the least sum of |errors|, by reweighted least squares: bits go by the errors' logarithm."""
     first, *others = (part / count for part, count in zip(seen.sums, seen.counts, strict=True))
-    columns = np.stack([*(mean - first for mean in others), *seen.corrections, np.ones_like(first)])
-    units = np.array([*(_UNIT for _ in columns[1:]), _FINE])
+    columns = np.stack([*(mean - first for mean in others), *seen.corrections])
     away = target - first
     error = np.abs(away) + 1.0
     found = np.zeros(len(columns))
@@ -229,23 +207,7 @@ def _fitted_weights(seen: Seen, target: FloatArray) -> list[int]:
         normal += 1e-4 * np.trace(normal) / len(normal) * np.eye(len(normal)) + 1e-300 * np.eye(len(normal))
         found = np.linalg.solve(normal, weighted @ away)
         error = np.abs(away - found @ columns) + 0.5
-    return [int(w) for w in np.clip(np.rint(found / units), -128, 127)]
-
-
-def _centred(
-    seen: Seen, target: FloatArray, weights: Sequence[int], share: FloatArray, goal: float
-) -> list[int]:
-    """The weights with the constant for which the errors, which are what rounding leaves, have the mean
-    ``goal``, each counting its ``share``."""
-    found, best = list(weights), np.inf
-    trial = list(weights)
-    for _ in range(4):
-        left = target - seen.predicted(trial)
-        off = float((share * (np.rint(left) - left)).sum()) - goal
-        if abs(off) < best:
-            found, best = list(trial), abs(off)
-        trial[-1] = int(np.clip(trial[-1] - np.rint(off / _FINE), -128, 127))
-    return found
+    return [int(w) for w in np.clip(np.rint(found / _UNIT), -128, 127)]
 
 
 def _fitted_widths(seen: Seen, error: FloatArray) -> list[int]:

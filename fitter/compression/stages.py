@@ -29,8 +29,10 @@ class Stage:
     """Nodes that become known together: those between two known ones along ``axis``.
 
     target : index expression for an array (C, *shape) of a tile: the new nodes. count : along the axis.
+    number : of the stage, from 0.
     """
 
+    number: int
     axis: int
     count: int
     target: tuple[slice, ...]
@@ -39,13 +41,15 @@ class Stage:
 def stages(shape: Sequence[int]) -> Iterator[Stage]:
     """The stages of a tile of this shape, coarse to fine; after them every node is known."""
     step = 1 << max(0, max(n - 1 for n in shape).bit_length() - 1)
+    number = 0
     while step:
         for axis, n in enumerate(shape):
             if step < n:
                 # Axes before this one have been halved at this step already.
                 rows = [slice(None, None, step if k < axis else 2 * step) for k in range(len(shape))]
                 rows[axis] = slice(step, None, 2 * step)
-                yield Stage(axis, len(range(step, n, 2 * step)), (slice(None), *rows))
+                yield Stage(number, axis, len(range(step, n, 2 * step)), (slice(None), *rows))
+                number += 1
         step //= 2
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fitter.compression import entropy
 from fitter.compression.archive import pack_parts, unpack_parts
+from fitter.compression.dither import dither, kinds
 from fitter.compression.entropy import Distribution
 from fitter.compression.rules import Rules, Seen, classes, next_error
 from fitter.compression.stages import Numbers, Stage, neighbours, stages, woven
@@ -25,9 +26,9 @@ BoolArray = NDArray[np.bool_]
 
 #: Numbers below this are worked on in single precision, which is right to 1/250 of a step there.
 SINGLE = float(1 << 15)
-#: Starts that are tried until the mean error of each channel is below _LEANING (steps; the bound is half a
-#: step), and the fewest numbers for which a mean says anything.
-_STARTS, _LEANING, _FEW = (0.0, 0.25, -0.25, 0.125, -0.375), 0.006, 2000
+#: Dithers that are tried until the mean error of each channel is below _MEAN (steps; the bound is half of
+#: one), and the fewest numbers for which a mean says anything.
+_SEEDS, _MEAN, _FEW = 6, 0.006, 2000
 #: What the tokens stand for that no bits follow.
 _DIRECT = np.array([(k >> 1) ^ -(k & 1) for k in range(entropy.DIRECT)])
 
@@ -35,33 +36,30 @@ _DIRECT = np.array([(k >> 1) ^ -(k & 1) for k in range(entropy.DIRECT)])
 _Visit = Callable[[Stage, int, Seen], tuple[Numbers, Numbers, Numbers]]
 
 
-def encode(steps: FloatArray, times: FloatArray) -> tuple[bytes, FloatArray]:
+def encode(steps: FloatArray) -> tuple[bytes, FloatArray]:
     """The tile (C, *shape) of numbers in steps, NaN where there is nothing to code, and what it decodes to.
 
-    times : (*shape) how many of the table's samples each node stands for.
-    Where a correction would be too large to code there is none: the caller compares. Errors are spread evenly
-    over a step; what they lean to one side the constants of later predictions make up for, as far as errors
-    are smaller than a step. Where they are not, another start turns all of them into others.
+    Where a correction would be too large to code there is none: the caller compares. Errors are as good as
+    independent, so that the mean of a few thousand may be felt; then another dither is tried.
     """
     good = np.isfinite(steps)
-    filled, every = _filled(steps), good * times
+    filled = _filled(steps)
+    count = np.maximum(good.reshape(len(good), -1).sum(axis=1), 1)
     best: tuple[float, bytes, FloatArray] | None = None
-    for start in _STARTS:
-        data, decoded, leaning = _encode(filled, good, every, start)
-        if best is None or leaning < best[0]:
-            best = leaning, data, decoded
-        if leaning <= _LEANING or good.size < _FEW:
+    for seed in range(_SEEDS):
+        data, decoded = _encode(filled, good, seed)
+        error = np.where(good, decoded - filled, 0.0).reshape(len(good), -1).sum(axis=1) / count
+        mean = float(np.abs(error).max(initial=0.0))
+        if best is None or mean < best[0]:
+            best = mean, data, decoded
+        if mean <= _MEAN or good.size < _FEW:
             break
     assert best is not None
     return best[1], best[2]
 
 
-def _encode(
-    filled: FloatArray, good: BoolArray, every: FloatArray, start: float
-) -> tuple[bytes, FloatArray, float]:
-    """The same of numbers without gaps, the first node's being ``start`` off; and the largest mean error of a
-    channel, nodes counting ``every`` (C, *shape) times."""
-    leaning = np.zeros(len(filled))
+def _encode(filled: FloatArray, good: BoolArray, seed: int) -> tuple[bytes, FloatArray]:
+    """The same of numbers without gaps."""
     rules = Rules()
     coder = entropy.Encoder()
     rest: list[IntArray] = []
@@ -69,33 +67,33 @@ def _encode(
 
     def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
         target, here = filled[stage.target][k], good[stage.target][k]
-        share = every[stage.target][k]
-        weights, widths = rules.choose((stage.axis, k), seen, target, share, -float(leaning[k]))
+        weights, widths = rules.choose((stage.axis, k), seen, target, here)
         predicted, width = seen.predicted(weights), seen.width(widths)
-        correction = np.rint(target - predicted)
-        correction[~here | (np.abs(correction) > entropy.LARGEST)] = 0.0
-        leaning[k] += float((share * (predicted + correction - target)).sum())
-        token, count, low = entropy.tokens(correction[here].astype(np.int64))
-        coder.write(token, classes(width)[here])
+        added = dither(predicted.shape, seed, stage.number, k, predicted.dtype)
+        number = np.rint(target - predicted + added)
+        number[np.abs(number) > entropy.LARGEST] = 0.0
+        correction = np.where(here, number.astype(predicted.dtype) - added, 0)
+        sided = np.where(added < 0, -number, number)
+        token, count, low = entropy.tokens(sided[here].astype(np.int64))
+        coder.write(token, kinds(classes(width), added)[here])
         bits.append(count[count > 0])
         rest.append(low[count > 0])
         return predicted, width, correction.astype(predicted.dtype)
 
-    first = filled[(slice(None), *(0 for _ in range(filled.ndim - 1)))] + start
+    first = filled[(slice(None), *(0 for _ in range(filled.ndim - 1)))]
     number = number_type(float(np.abs(filled).max(initial=0.0)))
     decoded = _walk(first.astype(number), filled.shape, visit)
     distributions, words = coder.finish()
     table = [[u, d.scale, d.exponent, d.top] for u, d in distributions.items()]
     none = np.zeros(0, np.int64)
     parts = [
-        number.char.encode() + first.astype("<f8").tobytes(),
+        number.char.encode() + bytes([seed]) + first.astype("<f8").tobytes(),
         bytes(rules.written),
         np.array(table, np.uint8).tobytes(),
         entropy.pack_bits(np.concatenate([*rest, none]), np.concatenate([*bits, none])).tobytes(),
         words.astype("<u4").tobytes(),
     ]
-    mean = leaning / np.maximum(every.reshape(len(every), -1).sum(axis=1), 1.0)
-    return pack_parts(parts), decoded.astype(np.float64), float(np.abs(mean).max(initial=0.0))
+    return pack_parts(parts), decoded.astype(np.float64)
 
 
 def decode(data: bytes, good: BoolArray) -> FloatArray:
@@ -104,9 +102,9 @@ def decode(data: bytes, good: BoolArray) -> FloatArray:
     Raises ValueError where the bytes don't make up a tile.
     """
     first, written, table, packed, words = unpack_parts(data, 5)
-    if len(first) != 1 + 8 * len(good) or first[:1] not in (b"f", b"d") or len(table) % 4:
+    if len(first) != 2 + 8 * len(good) or first[:1] not in (b"f", b"d") or len(table) % 4:
         raise ValueError("its parts have other lengths than the tile's")
-    start = np.frombuffer(first[1:], "<f8").astype(first[:1].decode())
+    seed, start = first[1], np.frombuffer(first[2:], "<f8").astype(first[:1].decode())
     rules = Rules(list(written))
     rows = np.frombuffer(table, np.uint8).reshape(-1, 4)
     distributions = {int(u): Distribution(int(s), int(m), int(top)) for u, s, m, top in rows}
@@ -117,14 +115,15 @@ def decode(data: bytes, good: BoolArray) -> FloatArray:
     def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
         weights, widths = rules.read((stage.axis, k), seen)
         predicted, width = seen.predicted(weights), seen.width(widths)
-        kinds = classes(width)
+        added = dither(predicted.shape, seed, stage.number, k, predicted.dtype)
+        kind = kinds(classes(width), added)
         here = None if whole else good[stage.target][k]
-        token = coder.read(kinds.reshape(-1) if here is None else kinds[here])
+        token = coder.read(kind.reshape(-1) if here is None else kind[here])
         number = _numbers(token, reader, predicted.dtype)
         if here is None:
-            return predicted, width, number.reshape(predicted.shape)
+            return predicted, width, np.copysign(1, added) * number.reshape(predicted.shape) - added
         correction = np.zeros_like(predicted)
-        correction[here] = number
+        correction[here] = np.copysign(1, added[here]) * number - added[here]
         return predicted, width, correction
 
     return _walk(start, good.shape, visit).astype(np.float64)
