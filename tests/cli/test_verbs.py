@@ -191,6 +191,14 @@ def test_compress_and_decompress(run: Run, plaster: Path, tmp_path: Path) -> Non
     assert "of the bound" in run("compress", plaster, "--tolerance", "0.05", "--out", small).out
 
 
+def test_a_fit_to_a_subset_says_what_that_costs(run: Run, plaster: Path) -> None:
+    words = ["fit", plaster, "--model", "oren_nayar", "--subset", "128", "--polish", "subset"]
+    assert "standard errors" in run(*words).out
+    stated = run(*words, "--json").document["evidence"]["selection_error"]
+    assert set(stated) == {"rho[R]", "rho[G]", "rho[B]", "sigma"}
+    assert all(value > 0.5 for value in stated.values())
+
+
 def test_compress_to_the_noise_and_with_floors(run: Run, plaster: Path, tmp_path: Path) -> None:
     small = tmp_path / "small.brdf"
     document = run("compress", plaster, "--tolerance", "noise", "--out", small, "--json").document
