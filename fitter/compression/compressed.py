@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter.compression import coding, container
 from fitter.compression.arrangement import TILE, shape_of
+from fitter.compression.bound import bound_from_noise, default_floor, given_floor
 from fitter.compression.coding import Scale
 from fitter.compression.container import Block, Damage, array_block, array_of
 from fitter.compression.directions import direction_block, directions_of
 from fitter.compression.folds import Folds
-from fitter.compression.noise import bound_from_noise
 from fitter.compression.scale import error_in_bounds
 from fitter.compression.tiles import Tiles
 from fitter.documents import write_bytes
@@ -222,7 +222,7 @@ def compress(
     Parameters
     ----------
     tolerance : relative, in [0, 1); 0 keeps every bit; "noise": the bound is one standard deviation of the
-        table's noise, stated or estimated (:func:`fitter.compression.noise.bound_from_noise`).
+        table's noise, stated or estimated (:func:`fitter.compression.bound.bound_from_noise`).
     floor : 1/sr, one number, one per channel, or some by channel name, positive; default 1 % of the median
         |f| of each channel's usable samples that are not 0, and with "noise" what that says.
     tile : samples of a tile, the part that can be unpacked alone.
@@ -239,14 +239,14 @@ def compress(
     if tolerance == "noise":
         tolerance, floors = bound_from_noise(table)
     elif 0 <= tolerance < 1:
-        floors = _default_floor(table)
+        floors = default_floor(table)
     else:
         raise SpecError(
             f"tolerance must be at least 0 and below 1, not {tolerance}", code="bad-tolerance",
             parameter="tolerance", remedy="give a relative error such as 0.01; 0 keeps every bit",
         )  # fmt: skip
     if floor is not None:
-        floors = _given_floor(floor, [channel.name for channel in table.channels], floors)
+        floors = given_floor(floor, [channel.name for channel in table.channels], floors)
     shape = shape_of(table)
     coded = coding.encode(table.value, shape, float(tolerance), floors, tile)
     tolerance = coded.scale.tolerance
@@ -301,34 +301,3 @@ def _plain(item: object) -> object:
     if isinstance(item, np.ndarray | np.generic):
         return item.tolist()
     return str(item)
-
-
-def _default_floor(table: Table) -> FloatArray:
-    floors = np.ones(table.value.shape[1])
-    for k in range(len(floors)):
-        size = np.abs(table.value[table.mask, k])
-        size = size[size > 0]
-        if size.size:
-            floors[k] = max(float(np.median(0.01 * size)), np.finfo(np.float64).tiny)
-    return floors
-
-
-def _given_floor(
-    floor: ArrayLike | Mapping[str, float], names: list[str], usual: FloatArray
-) -> FloatArray:
-    if isinstance(floor, Mapping):
-        unknown = [name for name in floor if name not in names]
-        if unknown:
-            raise SpecError(
-                f"the table has no channel {unknown[0]!r}", code="unknown-channel", parameter="floor",
-                remedy=f"its channels are {', '.join(names)}",
-            )  # fmt: skip
-        given = np.array([floor.get(name, default) for name, default in zip(names, usual, strict=True)])
-    else:
-        given = np.asarray(floor, np.float64)
-    if given.shape not in ((), (1,), (len(names),)) or not (np.isfinite(given) & (given > 0)).all():
-        raise SpecError(
-            f"floor must be a positive number, or one per channel ({len(names)})", code="bad-floor",
-            parameter="floor", remedy="leave it out for 1 % of each channel's median",
-        )  # fmt: skip
-    return np.broadcast_to(given, (len(names),)).copy()

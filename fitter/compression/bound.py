@@ -1,9 +1,11 @@
-"""A bound taken from a table's own noise."""
+"""The bound: floors by channel, and the bound that a table's own noise is."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fitter.errors import SpecError
 from fitter.quality import noise
@@ -44,3 +46,36 @@ def bound_from_noise(table: Table) -> tuple[float, FloatArray]:
         )  # fmt: skip
     tolerance = min(relative, _MOST)
     return tolerance, floors / tolerance
+
+
+def default_floor(table: Table) -> FloatArray:
+    """(C,) 1 % of the median |f| of each channel's usable samples that are not 0; 1 where there are none."""
+    floors = np.ones(table.value.shape[1])
+    for k in range(len(floors)):
+        size = np.abs(table.value[table.mask, k])
+        size = size[size > 0]
+        if size.size:
+            floors[k] = max(float(np.median(0.01 * size)), np.finfo(np.float64).tiny)
+    return floors
+
+
+def given_floor(
+    floor: ArrayLike | Mapping[str, float], names: list[str], usual: FloatArray
+) -> FloatArray:
+    """(C,) from one number, one per channel, or some by name beside the ``usual`` ones. Raises SpecError."""
+    if isinstance(floor, Mapping):
+        unknown = [name for name in floor if name not in names]
+        if unknown:
+            raise SpecError(
+                f"the table has no channel {unknown[0]!r}", code="unknown-channel", parameter="floor",
+                remedy=f"its channels are {', '.join(names)}",
+            )  # fmt: skip
+        given = np.array([floor.get(name, default) for name, default in zip(names, usual, strict=True)])
+    else:
+        given = np.asarray(floor, np.float64)
+    if given.shape not in ((), (1,), (len(names),)) or not (np.isfinite(given) & (given > 0)).all():
+        raise SpecError(
+            f"floor must be a positive number, or one per channel ({len(names)})", code="bad-floor",
+            parameter="floor", remedy="leave it out for 1 % of each channel's median",
+        )  # fmt: skip
+    return np.broadcast_to(given, (len(names),)).copy()
