@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fitter.cli.values import pair
 from fitter.errors import SpecError, TableError
@@ -116,12 +116,15 @@ def is_container(path: str | Path) -> bool:
         return False  # whoever reads it as a table says what is wrong with it
 
 
-def open_container(path: str | Path) -> CompressedTable:
-    """The compressed table at ``path``. Raises TableError, also where it can't be read at all."""
+def open_container(path: str | Path, damage: Literal["refuse", "keep"] = "refuse") -> CompressedTable:
+    """The compressed table at ``path``. Raises TableError, also where it can't be read at all.
+
+    ``damage`` : as of :meth:`fitter.compression.CompressedTable.load`.
+    """
     from fitter.compression import CompressedTable
 
     try:
-        return CompressedTable.load(path)
+        return CompressedTable.load(path, damage=damage)
     except OSError as error:
         raise TableError(
             f"the file can't be read: {error.strerror}", code="file-unreadable", file=str(path),

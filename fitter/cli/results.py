@@ -70,7 +70,7 @@ def show_fit(result: FitResult, screen: Screen) -> None:
     """The fitted parameters with their standard uncertainties, and how good and dear the fit was."""
     channels = result.model.channels
     screen.line(f"{result.spec.model.name}: {result.status.replace('_', ' ')} in {result.seconds:.2f} s")
-    if result.status != "converged":
+    if result.status != "converged" or result.evidence.get("selection_error"):
         screen.line(f"  {result.message}")
     metrics = ", ".join(f"{name.replace('_', ' ')} {number(value)}" for name, value in result.metrics.items())
     screen.line(f"  {metrics}")

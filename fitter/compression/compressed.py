@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fitter.compression import container
-from fitter.compression.container import Block
-from fitter.compression.prediction import decode, encode
-from fitter.compression.quantise import (
-    SMALLEST_TOLERANCE,
-    dequantise,
-    error_in_bounds,
-    quantise,
-)
+from fitter.compression import coding, container
+from fitter.compression.arrangement import TILE, shape_of
+from fitter.compression.bound import bound_from_noise, default_floor, given_floor
+from fitter.compression.coding import Scale
+from fitter.compression.container import Block, Damage, array_block, array_of
+from fitter.compression.directions import direction_block, directions_of
+from fitter.compression.folds import Folds
+from fitter.compression.scale import error_in_bounds
+from fitter.compression.tiles import Tiles
+from fitter.documents import write_bytes
 from fitter.errors import SpecError, TableError
 from fitter.table import Channel, Grid, Metadata, Table
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+#: Why samples are masked that stood in a damaged block.
+DAMAGED = "in a damaged block"
 
 
 @dataclass(frozen=True)
@@ -32,11 +38,12 @@ class CompressedTable:
     """A table in its packed form.
 
     header : JSON-ready description: tolerance, floors, geometry, channels, metadata, hash of the original.
-    blocks : the packed arrays by name.
+    blocks : the readable blocks by name. damaged : what is wrong with each of the others.
     """
 
     header: Mapping[str, Any]
     blocks: Mapping[str, Block]
+    damaged: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def tolerance(self) -> float:
@@ -54,37 +61,69 @@ class CompressedTable:
         return float(self.header["worst_error"])
 
     @property
+    def mean_error(self) -> FloatArray:
+        """(C,) mean signed error of the finite values, in units of the guarantee."""
+        return np.array(self.header["mean_error"], np.float64)
+
+    @property
+    def rms_error(self) -> FloatArray:
+        """(C,) root mean square error of the finite values, in units of the guarantee."""
+        return np.array(self.header["rms_error"], np.float64)
+
+    @property
     def source_hash(self) -> str:
         """``Table.hash`` of the table that was compressed."""
         return str(self.header["source_hash"])
 
-    @property
+    @cached_property
     def nbytes(self) -> int:
         """Size of the container in bytes."""
-        return len(container.encode_header(self.header, self.blocks)) + sum(
-            len(block.data) for block in self.blocks.values()
-        )
+        return len(self.to_bytes())
+
+    @property
+    def value_bytes(self) -> int:
+        """Bytes of the blocks that hold the values alone."""
+        return sum(len(b.data) for b in self.blocks.values() if b.name.startswith("values "))
 
     @property
     def ratio(self) -> float:
         """Bytes of the values as float64, over :attr:`nbytes` (which includes directions, sigma and mask)."""
         return 8.0 * self.header["samples"] * len(self.header["channels"]) / self.nbytes
 
+    def describe(self) -> dict[str, Any]:
+        """What the container promises and how large it is, JSON-ready."""
+        return {
+            "bytes": self.nbytes, "value_bytes": self.value_bytes, "ratio": self.ratio,
+            "tolerance": self.tolerance, "floor_per_sr": self.floor.tolist(), "worst_error": self.worst_error,
+            "mean_error": self.mean_error.tolist(), "rms_error": self.rms_error.tolist(),
+            "version": container.VERSION, "tiles": self.tiles.count, "damaged": dict(self.damaged),
+            "hash": self.source_hash,
+        }  # fmt: skip
+
+    def to_bytes(self) -> bytes:
+        """The container file."""
+        return container.encode(self.header, list(self.blocks.values()))
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the container; written aside and renamed, so that it is never half there."""
-        container.write(self.header, self.blocks, Path(path))
+        write_bytes(self.to_bytes(), Path(path))
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> CompressedTable:
-        """Read a container. Raises TableError naming the damaged block, or OSError."""
+    def load(cls, path: str | PathLike[str], *, damage: Damage = "refuse") -> CompressedTable:
+        """Read a container. Raises TableError naming the damaged block, or OSError.
+
+        ``damage`` "keep" reads the blocks that are whole; samples of the others come back masked, as NaN.
+        """
         path = Path(path)
-        return cls.from_bytes(path.read_bytes(), file=path.name)
+        return cls.from_bytes(path.read_bytes(), file=path.name, damage=damage)
 
     @classmethod
-    def from_bytes(cls, data: bytes, file: str | None = None) -> CompressedTable:
+    def from_bytes(
+        cls, data: bytes, file: str | None = None, *, damage: Damage = "refuse"
+    ) -> CompressedTable:
         """The container in ``data``; ``file`` only names it in errors."""
-        header, blocks = container.read(data, file)
-        return cls(header, blocks)
+        header, blocks, damaged = container.decode(data, file, damage)
+        return cls(header, blocks, damaged)
 
     def decompress(self) -> Table:
         """The table again: masks, sigma, channels, geometry and metadata exactly, values within the bound.
@@ -93,61 +132,100 @@ class CompressedTable:
         ------
         TableError : a block that can't be unpacked, or a lossless table whose hash is not the original's.
         """
-        samples = int(self.header["samples"])
-        value = np.empty((samples, len(self.header["channels"])))
-        for k in range(value.shape[1]):
-            value[:, k] = self._channel(k)
-        wi, wo = (self._array(name) if name in self.blocks else None for name in ("wi", "wo"))
+        value, lost = self.tiles.all()
+        mask = np.unpackbits(self._array("mask"), count=len(value)).astype(bool)
         document: dict[str, Any] = dict(self.header["metadata"])
-        document["notes"] = tuple(document["notes"])
+        document["notes"] = (*document["notes"], *self.damaged.values())
+        if lost.any():
+            document["masked"] = {**document["masked"], DAMAGED: int(np.count_nonzero(lost & mask))}
         metadata = Metadata(**document)
+        sigma = None if "sigma" in self.damaged or not self.header["sigma"] else self._array("sigma")
         table = Table(
-            value=value, grid=self._grid(), wi=wi, wo=wo,
-            sigma=self._array("sigma") if "sigma" in self.blocks else None,
-            channels=[Channel(c["name"], c["wavelength_nm"]) for c in self.header["channels"]],
-            mask=np.unpackbits(self._array("mask"), count=samples).astype(bool),
+            value=value, grid=self.grid, sigma=sigma, channels=self._channels, mask=mask & ~lost,
+            **({} if self.grid is not None else {name: self._directions(name) for name in ("wi", "wo")}),
             symmetry=self.header["symmetry"], metadata=metadata, negatives="keep", duplicates="keep",
         )  # fmt: skip
         table.metadata = metadata  # the counts by reason are the original's, not those of reading it back
-        if self.tolerance == 0 and table.hash != self.source_hash:
+        if self.tolerance == 0 and not self.damaged and table.hash != self.source_hash:
             raise TableError(
                 "the unpacked table is not the one that was compressed", code="compressed-damaged",
                 file=metadata.name or None, remedy="compress the original table again",
             )  # fmt: skip
         return table
 
-    def _array(self, name: str) -> NDArray[Any]:
-        if name not in self.blocks:
-            raise TableError(
-                f"the container has no block {name!r}", code="compressed-damaged", column=name,
-                remedy="compress the original table again",
-            )  # fmt: skip
-        return container.unpack(self.blocks[name])
+    def values(self, index: ArrayLike) -> FloatArray:
+        """(n, C) values in 1/sr of the samples ``index`` (n,); only their tiles are unpacked, and kept.
 
-    def _grid(self) -> Grid | None:
+        Raises TableError where one of them is in a damaged block.
+        """
+        return self.tiles.values(np.asarray(index, np.intp))
+
+    def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """As :meth:`fitter.table.Table.evaluate`, of the decompressed table.
+
+        Of a grid only the tiles that hold nodes about the directions are unpacked, and kept; a scattered
+        table is unpacked once as a whole, since its triangles need all directions.
+        """
+        return self._interpolant.evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
+
+    @cached_property
+    def tiles(self) -> Tiles:
+        """The values, a tile at a time."""
+        stated = self.header["values"]
+        used = Scale(self.tolerance, self.floor, float(stated["step"]))
+        folds = Folds.from_document(stated, stated["shape"])
+        return Tiles(self.blocks, self.damaged, used, folds)
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """As of the table."""
         given = self.header["grid"]
         if given is None:
             return None
         axes = {name: self._array(f"axis {name}") for name in given["axes"]}
         return Grid(given["system"], axes, given["periodic"])
 
-    def _channel(self, k: int) -> FloatArray:
-        if f"raw {k}" in self.blocks:
-            return self._array(f"raw {k}")
-        bins = decode(k, self._array, tuple(self.header["shape"]), self.header["prediction"][k])
-        value = dequantise(bins, self.header["floor"][k], self.tolerance)
-        value[self._array(f"exception index {k}")] = self._array(f"exception value {k}")
-        return value
+    @cached_property
+    def _interpolant(self) -> Any:
+        from fitter.sampling.grid import GridInterpolant
+        from fitter.sampling.interpolant import interpolant
+
+        if self.grid is None:
+            return interpolant(self.decompress())
+        mask = np.unpackbits(self._array("mask"), count=self.header["samples"]).astype(bool)
+        # Looks like an array of values as far as an interpolant looks: its shape, and picked rows.
+        return GridInterpolant(self.grid, cast("FloatArray", self.tiles), mask)
+
+    @property
+    def _channels(self) -> list[Channel]:
+        return [Channel(c["name"], c["wavelength_nm"]) for c in self.header["channels"]]
+
+    def _block(self, name: str) -> Block:
+        if name not in self.blocks:
+            message = self.damaged.get(name, f"the container has no block {name!r}")
+            raise container.damaged(message, None, name)
+        return self.blocks[name]
+
+    def _array(self, name: str) -> NDArray[Any]:
+        return array_of(self._block(name))
+
+    def _directions(self, name: str) -> FloatArray:
+        return directions_of(self._block(name))
 
 
-def compress(table: Table, tolerance: float, *, floor: ArrayLike | None = None) -> CompressedTable:
+def compress(
+    table: Table, tolerance: float | Literal["noise"], *,
+    floor: ArrayLike | Mapping[str, float] | None = None, tile: int = TILE,
+) -> CompressedTable:  # fmt: skip
     """``table`` smaller, with |error| <= ``tolerance`` (|f| + ``floor``) for every finite value.
 
     Parameters
     ----------
-    tolerance : relative, in [0, 1); 0 keeps every bit.
-    floor : 1/sr, one number or one per channel, positive; default 1 % of the median |f| of each
-        channel's usable samples that are not 0.
+    tolerance : relative, in [0, 1); 0 keeps every bit; "noise": the bound is one standard deviation of the
+        table's noise, stated or estimated (:func:`fitter.compression.bound.bound_from_noise`).
+    floor : 1/sr, one number, one per channel, or some by channel name, positive; default 1 % of the median
+        |f| of each channel's usable samples that are not 0, and with "noise" what that says.
+    tile : samples of a tile, the part that can be unpacked alone.
 
     Values that are not finite, the mask, sigma, directions or axes, channels and metadata are kept
     exactly. Every value is decoded and checked before this returns; the few that rounding would push
@@ -155,36 +233,38 @@ def compress(table: Table, tolerance: float, *, floor: ArrayLike | None = None) 
 
     Raises
     ------
-    SpecError : a tolerance or a floor that makes no sense.
+    SpecError : a tolerance or a floor that makes no sense, or noise that the table doesn't tell.
     """
-    if not 0 <= tolerance < 1:
+    channels = len(table.channels)
+    if tolerance == "noise":
+        tolerance, floors = bound_from_noise(table)
+    elif 0 <= tolerance < 1:
+        floors = default_floor(table)
+    else:
         raise SpecError(
             f"tolerance must be at least 0 and below 1, not {tolerance}", code="bad-tolerance",
             parameter="tolerance", remedy="give a relative error such as 0.01; 0 keeps every bit",
         )  # fmt: skip
-    channels = len(table.channels)
-    floors = _default_floor(table) if floor is None else _given_floor(floor, channels)
-    shape = (len(table),) if table.grid is None else table.grid.shape
-    blocks: list[Block] = []
-    prediction: list[dict[str, Any]] = []
-    worst = 0.0
-    for k in range(channels):
-        value = np.ascontiguousarray(table.value[:, k])
-        parts, how, error = _pack_channel(k, value, float(floors[k]), float(tolerance), shape)
-        blocks += parts
-        prediction.append(how)
-        worst = max(worst, error)
-    blocks += _pack_geometry(table)
+    if floor is not None:
+        floors = given_floor(floor, [channel.name for channel in table.channels], floors)
+    shape = shape_of(table)
+    coded = coding.encode(table.value, shape, float(tolerance), floors, tile)
+    tolerance = coded.scale.tolerance
+    error = np.zeros((1, channels))
+    if tolerance:
+        error = error_in_bounds(table.value, coded.decoded, floors, tolerance)
     header: dict[str, Any] = {
-        "tolerance": float(tolerance),
+        "tolerance": tolerance,
         "floor": [float(f) for f in floors],
-        "worst_error": worst,
+        "worst_error": float(np.abs(error).max()),
+        "mean_error": error.mean(axis=0).tolist(),
+        "rms_error": np.sqrt(np.square(error).mean(axis=0)).tolist(),
         "source_hash": table.hash,
         "samples": len(table),
-        "shape": list(shape),
-        "prediction": prediction,
+        "values": {"shape": list(shape), "step": coded.scale.step, **coded.folds.document()},
         "channels": [asdict(channel) for channel in table.channels],
         "symmetry": table.symmetry,
+        "sigma": table.sigma is not None,
         "grid": None
         if table.grid is None
         else {
@@ -194,41 +274,18 @@ def compress(table: Table, tolerance: float, *, floor: ArrayLike | None = None) 
         },
         "metadata": _document(table.metadata),
     }
+    blocks = [*_geometry(table), *coded.blocks]
     return CompressedTable(header, {block.name: block for block in blocks})
 
 
-def _pack_channel(
-    k: int, value: FloatArray, floor: float, tolerance: float, shape: tuple[int, ...]
-) -> tuple[list[Block], dict[str, Any], float]:
-    """Blocks of one channel, how it is predicted, its worst error in units of the bound."""
-    raw = container.pack(f"raw {k}", value)
-    if tolerance < SMALLEST_TOLERANCE:
-        return [raw], {}, 0.0
-    bins = quantise(value, floor, tolerance)
-    decoded = dequantise(bins, floor, tolerance)
-    error = error_in_bounds(value, decoded, floor, tolerance)
-    exact = np.flatnonzero(~(error <= 1.0) | ~np.isfinite(value))
-    bins[exact] = 0
-    error[exact] = 0.0
-    predicted, how = encode(k, bins, shape)
-    parts = [
-        *predicted,
-        container.pack(f"exception index {k}", exact.astype(np.int64)),
-        container.pack(f"exception value {k}", value[exact]),
-    ]
-    if sum(len(part.data) for part in parts) >= len(raw.data):
-        return [raw], {}, 0.0
-    return parts, how, float(error.max())
-
-
-def _pack_geometry(table: Table) -> list[Block]:
+def _geometry(table: Table) -> list[Block]:
     if table.grid is None:
-        blocks = [container.pack("wi", table.wi), container.pack("wo", table.wo)]
+        blocks = [direction_block("wi", table.wi), direction_block("wo", table.wo)]
     else:
-        blocks = [container.pack(f"axis {name}", axis) for name, axis in table.grid.axes.items()]
-    blocks.append(container.pack("mask", np.packbits(table.mask)))
+        blocks = [array_block(f"axis {name}", axis) for name, axis in table.grid.axes.items()]
+    blocks.append(array_block("mask", np.packbits(table.mask)))
     if table.sigma is not None:
-        blocks.append(container.pack("sigma", table.sigma))
+        blocks.append(array_block("sigma", table.sigma))
     return blocks
 
 
@@ -244,23 +301,3 @@ def _plain(item: object) -> object:
     if isinstance(item, np.ndarray | np.generic):
         return item.tolist()
     return str(item)
-
-
-def _default_floor(table: Table) -> FloatArray:
-    floors = np.ones(table.value.shape[1])
-    for k in range(len(floors)):
-        size = np.abs(table.value[table.mask, k])
-        size = size[size > 0]
-        if size.size:
-            floors[k] = max(float(np.median(0.01 * size)), np.finfo(np.float64).tiny)
-    return floors
-
-
-def _given_floor(floor: ArrayLike, channels: int) -> FloatArray:
-    given = np.asarray(floor, np.float64)
-    if given.shape not in ((), (1,), (channels,)) or not (np.isfinite(given) & (given > 0)).all():
-        raise SpecError(
-            f"floor must be a positive number, or one per channel ({channels})", code="bad-floor",
-            parameter="floor", remedy="leave it out for 1 % of each channel's median",
-        )  # fmt: skip
-    return np.broadcast_to(given, (channels,)).copy()

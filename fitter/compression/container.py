@@ -1,103 +1,68 @@
-"""The container file: magic, version, a JSON header, then named zstd blocks with a checksum each."""
+"""The container file: magic, version, a packed JSON header, then named blocks with a checksum each."""
 
 from __future__ import annotations
 
 import json
-import os
 import struct
-import tempfile
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, cast
 
-import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
+from fitter.compression.archive import pack_array, squeezed, unpack_array, unsqueezed
 from fitter.errors import TableError
 
 MAGIC = b"\x89BRDFfit"
-VERSION = 1
-# magic, version, header length, crc32 of the header
+VERSION = 2
+# magic, version, length of the packed header, its crc32
 _PREFIX = struct.Struct("<8sHII")
-LEVEL = 9
-# No table is larger than this once unpacked (a forged length must not fill the memory).
-_LARGEST = 1 << 32
+
+#: What to do with a block that is damaged: refuse the file, or read the others.
+Damage = Literal["refuse", "keep"]
 
 
 @dataclass(frozen=True)
 class Block:
-    """One array, packed: bytes shuffled by significance, then zstd."""
+    """Bytes with a name, and what is to be known to read them."""
 
     name: str
-    dtype: str
-    shape: tuple[int, ...]
     data: bytes
+    about: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
     def crc(self) -> int:
         return zlib.crc32(self.data)
 
 
-def pack(name: str, array: NDArray[Any], level: int = LEVEL) -> Block:
-    """A block of ``array``. Shuffling puts equal-significance bytes together, where they repeat."""
-    array = np.ascontiguousarray(array)
-    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    raw = np.frombuffer(little.tobytes(), np.uint8).reshape(array.size, array.dtype.itemsize).T.tobytes()
-    data = zstandard.ZstdCompressor(level=level).compress(raw)
-    return Block(name, little.dtype.str, array.shape, data)
+def array_block(name: str, array: NDArray[Any]) -> Block:
+    """A block of an array, exactly."""
+    return Block(name, pack_array(array), {"dtype": array.dtype.newbyteorder("<").str, "shape": array.shape})
 
 
-def unpack(block: Block, file: str | None = None) -> NDArray[Any]:
+def array_of(block: Block) -> NDArray[Any]:
     """The array of a block. Raises TableError that names the block when its content makes no sense."""
-    dtype = np.dtype(block.dtype)
-    size = int(np.prod(block.shape, dtype=np.int64)) * dtype.itemsize
-    stated = zstandard.frame_content_size(block.data) if len(block.data) >= 18 else size
-    if not 0 <= size <= _LARGEST or stated != size:
-        raise _damaged(f"block {block.name!r} claims {size} bytes", file, block.name)
     try:
-        raw = zstandard.ZstdDecompressor().decompress(block.data, max_output_size=size) if size else b""
-    except zstandard.ZstdError as error:
-        raise _damaged(f"block {block.name!r} can't be unpacked ({error})", file, block.name) from error
-    if len(raw) != size:
-        raise _damaged(f"block {block.name!r} holds {len(raw)} bytes, {size} expected", file, block.name)
-    columns = np.frombuffer(raw, np.uint8).reshape(dtype.itemsize, -1).T
-    array = np.frombuffer(columns.tobytes(), dtype).reshape(block.shape)
-    return array.astype(dtype.newbyteorder("="))
+        return unpack_array(block.data, block.about["dtype"], tuple(block.about["shape"]))
+    except (ValueError, TypeError, KeyError) as error:
+        raise damaged(f"block {block.name!r} can't be unpacked ({error})", None, block.name) from error
 
 
-def write(header: Mapping[str, Any], blocks: Mapping[str, Block], path: Path) -> None:
-    """Write aside and rename: a file of that name is always whole."""
-    text = encode_header(header, blocks)
-    descriptor, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(text)
-            for block in blocks.values():
-                stream.write(block.data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(aside, 0o644)
-        os.replace(aside, path)
-    except BaseException:
-        Path(aside).unlink(missing_ok=True)
-        raise
+def encode(header: Mapping[str, Any], blocks: Sequence[Block]) -> bytes:
+    """The file."""
+    listed = [{"name": b.name, "bytes": len(b.data), "crc32": b.crc, **b.about} for b in blocks]
+    text = squeezed(json.dumps({**header, "blocks": listed}, separators=(",", ":")).encode())
+    prefix = _PREFIX.pack(MAGIC, VERSION, len(text), zlib.crc32(text))
+    return b"".join([prefix, text, *(block.data for block in blocks)])
 
 
-def encode_header(header: Mapping[str, Any], blocks: Mapping[str, Block]) -> bytes:
-    """Everything before the first block."""
-    listed = [
-        {"name": b.name, "dtype": b.dtype, "shape": list(b.shape), "bytes": len(b.data), "crc32": b.crc}
-        for b in blocks.values()
-    ]
-    text = json.dumps({**header, "blocks": listed}, separators=(",", ":")).encode()
-    return _PREFIX.pack(MAGIC, VERSION, len(text), zlib.crc32(text)) + text
+def decode(
+    data: bytes, file: str | None = None, damage: Damage = "refuse"
+) -> tuple[dict[str, Any], dict[str, Block], dict[str, str]]:
+    """``(header, blocks, damaged)`` of a container; every checksum is verified.
 
-
-def read(data: bytes, file: str | None = None) -> tuple[dict[str, Any], dict[str, Block]]:
-    """``(header, blocks)`` of a container; every checksum is verified.
+    damaged : what is wrong with each block that is not among ``blocks``; empty unless ``damage`` is "keep".
 
     Raises
     ------
@@ -113,31 +78,43 @@ def read(data: bytes, file: str | None = None) -> tuple[dict[str, Any], dict[str
     if version != VERSION:
         raise TableError(
             f"the container has version {version}, this library reads {VERSION}", code="compressed-version",
-            file=file, offset=len(MAGIC),
-            remedy="use the version of brdf-fitter that wrote it, or a newer one",
+            file=file, offset=len(MAGIC), remedy="use the version of brdf-fitter that wrote it",
         )  # fmt: skip
     text = data[_PREFIX.size : _PREFIX.size + length]
     if len(text) < length or zlib.crc32(text) != crc:
-        raise _damaged("the header is damaged", file, "header")
-    header = cast("dict[str, Any]", json.loads(text))
+        message = "the header is damaged, and without it no block can be read"
+        raise damaged(message, file, "header", whole=True)
+    try:
+        header = cast("dict[str, Any]", json.loads(unsqueezed(text)))
+    except ValueError as error:
+        raise damaged(f"the header can't be unpacked ({error})", file, "header", whole=True) from error
     blocks: dict[str, Block] = {}
+    lost: dict[str, str] = {}
     start = _PREFIX.size + length
-    for item in header["blocks"]:
-        part = data[start : start + item["bytes"]]
-        start += item["bytes"]
-        if len(part) < item["bytes"]:
-            raise _damaged(f"the file ends inside block {item['name']!r}", file, item["name"])
-        if zlib.crc32(part) != item["crc32"]:
-            raise _damaged(f"block {item['name']!r} fails its checksum", file, item["name"])
-        blocks[item["name"]] = Block(item["name"], item["dtype"], tuple(item["shape"]), part)
-    if start != len(data):
-        raise _damaged(f"{len(data) - start} bytes follow the last block", file, "end")
-    return header, blocks
+    for item in header.pop("blocks"):
+        name, size, stated = item.pop("name"), item.pop("bytes"), item.pop("crc32")
+        block = Block(name, data[start : start + size], item)
+        start += size
+        if len(block.data) < size:
+            lost[name] = f"the file ends {'inside' if block.data else 'before'} block {name!r}"
+        elif block.crc != stated:
+            lost[name] = f"block {name!r} fails its checksum"
+        else:
+            blocks[name] = block
+        if name in lost and damage == "refuse":
+            raise damaged(lost[name], file, name)
+    if start < len(data):
+        lost["end"] = f"{len(data) - start} bytes follow the last block"
+        if damage == "refuse":
+            raise damaged(lost["end"], file, "end")
+    return header, blocks, lost
 
 
-def _damaged(message: str, file: str | None, block: str) -> TableError:
+def damaged(message: str, file: str | None, block: str, *, whole: bool = False) -> TableError:
+    """The error for a block that can't be read; ``whole`` where nothing else can be read, either."""
+    rest = "" if whole else "; `brdf-fitter decompress --salvage` reads the other blocks"
     return TableError(
         message, code="compressed-damaged", file=file, column=block,
         cause="the file was cut short or changed after it was written",
-        remedy="copy it again from its source, or compress the original table again",
+        remedy=f"copy it again from its source, or compress the original table again{rest}",
     )  # fmt: skip

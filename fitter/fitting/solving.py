@@ -19,6 +19,7 @@ from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import CHUNK, Errors, Polished, errors, polish, scores
 from fitter.fitting.samples import BLOCK, Block, Blocks, IntArray, Usable, count, padded
 from fitter.fitting.search_error import search_error
+from fitter.fitting.selection_error import selection_error
 from fitter.fitting.writeup import Group
 from fitter.spec import FitSpec
 
@@ -103,10 +104,15 @@ def solve(
     # too.
     estimates = natural(places, end.p, end.normal, told, positions, used, data.likelihood and complete)
     error = search_error(places, end, told.outer, None if complete else 1.0 - used / len(data))
+    chosen = None
+    if not complete:
+        root = data.part(group, index, blocks[0].y.shape[0], np.sqrt(scale))
+        alone = scores(places, metric, floor, end.p, [root])
+        chosen = selection_error(places, end, told, alone, positions, used, data.likelihood)
     clock.lap("check")
     evidence["reduced"] = reduced is not None
     examined = len(index) if reduced is None else len(data)
-    return Group(end, found, estimates, evidence, examined, passes, error)
+    return Group(end, found, estimates, evidence, examined, passes, error, chosen)
 
 
 def _stand_in(

@@ -39,6 +39,9 @@ class Group:
     passes: int
     #: By what share of itself the rms residual is above that of the optimum, at most (95 %).
     search_error: float
+    #: What the choice of a subset does to each estimate, see :mod:`fitter.fitting.selection_error`; None
+    #: where the whole table was looked at.
+    selection_error: FloatArray | None = None
 
 
 def write_up(
@@ -72,6 +75,13 @@ def write_up(
         parameters[p.name] = Estimate(y, uncertainty, p.unit, p.description, ends)
         labels += [p.name if scalar or c is None else f"{p.name}[{table.channels[c].name}]" for _, c in keys]
         rows += found
+    choices = [solved[g].selection_error for g, _ in rows]
+    selection = None
+    if any(choice is not None for choice in choices):
+        selection = {
+            label: None if choice is None or not np.isfinite(choice[k]) else float(choice[k])
+            for label, choice, (_, k) in zip(labels, choices, rows, strict=True)
+        }
     covariance = np.zeros((len(rows), len(rows)))
     for i, (g, k) in enumerate(rows):
         for j, (other, m) in enumerate(rows):
@@ -102,6 +112,7 @@ def write_up(
         evidence={
             "solver": request.solver,
             "search_error": max(s.search_error for s in solved),
+            "selection_error": selection,
             "groups": [
                 {"channels": [names[c] for c in group], **s.evidence}
                 for group, s in zip(groups, solved, strict=True)
@@ -197,5 +208,9 @@ def _verdict(
     passes = sum(s.passes for s in solved)
     used = max(s.subset for s in solved)
     if request.polish == "subset" and used < len(data):
-        return "converged", f"converged on a subset of {used} of {len(data)} samples", tuple(warnings)
+        message = f"converged on a subset of {used} of {len(data)} samples"
+        stated = np.concatenate([s.selection_error for s in solved if s.selection_error is not None])
+        if np.isfinite(stated).any():
+            message += f", whose choice moves a parameter by up to {np.nanmax(stated):.2g} standard errors"
+        return "converged", message, tuple(warnings)
     return "converged", f"converged in {passes} passes over {len(data)} samples", tuple(warnings)

@@ -265,7 +265,8 @@ def _compression(bench: Bench, points: Sequence[Point]) -> list[dict[str, Any]]:
         made = bench.compressed(tolerance)
         rows.append(
             {
-                "tolerance": tolerance, "bytes": made.table.nbytes, "ratio": made.table.ratio,
+                "tolerance": tolerance, "bytes": made.table.nbytes, "value_bytes": made.table.value_bytes,
+                "ratio": made.table.ratio,
                 "worst_error": made.table.worst_error * tolerance,
                 "compress_seconds": made.seconds, "decompress_seconds": made.reading,
                 "fit_seconds": point.seconds["min"], **point.errors,

@@ -11,8 +11,8 @@ COLUMNS = (
     "fit", "seconds", "median", "compiling", "memory", "held out", "parameters (u)", "reflectance", "front"
 )  # fmt: skip
 COMPRESSION = (
-    "tolerance", "bytes", "ratio", "worst error", "held out", "parameters (u)", "reflectance", "compress",
-    "fit",
+    "tolerance", "bytes", "of values", "ratio", "worst error", "held out", "parameters (u)", "reflectance",
+    "compress", "decompress", "fit",
 )  # fmt: skip
 POSTERIOR = ("effective samples", "draws", "seconds", "interval error", "status")
 
@@ -25,9 +25,10 @@ def rows(tradeoff: Tradeoff) -> list[list[str]]:
 def compression_rows(tradeoff: Tradeoff) -> list[list[str]]:
     return [
         [
-            f"{row['tolerance']:g}", f"{row['bytes']:,}", _number(row["ratio"]), _number(row["worst_error"]),
+            f"{row['tolerance']:g}", f"{row['bytes']:,}", f"{row['value_bytes']:,}",
+            _number(row["ratio"]), _number(row["worst_error"]),
             *(_number(row[kind]) for kind in ("held_out", "parameters", "reflectance")),
-            _seconds(row["compress_seconds"]), _seconds(row["fit_seconds"]),
+            *(_seconds(row[f"{what}_seconds"]) for what in ("compress", "decompress", "fit")),
         ]
         for row in tradeoff.compression
     ]  # fmt: skip

@@ -207,6 +207,51 @@ def test_compress_and_decompress(run: Run, plaster: Path, tmp_path: Path) -> Non
     assert "of the bound" in run("compress", plaster, "--tolerance", "0.05", "--out", small).out
 
 
+def test_a_fit_to_a_subset_says_what_that_costs(run: Run, plaster: Path) -> None:
+    words = ["fit", plaster, "--model", "oren_nayar", "--subset", "128", "--polish", "subset"]
+    assert "standard errors" in run(*words).out
+    stated = run(*words, "--json").document["evidence"]["selection_error"]
+    assert set(stated) == {"rho[R]", "rho[G]", "rho[B]", "sigma"}
+    assert all(value > 0.5 for value in stated.values())
+
+
+def test_compress_to_the_noise_and_with_floors(run: Run, plaster: Path, tmp_path: Path) -> None:
+    small = tmp_path / "small.brdf"
+    document = run("compress", plaster, "--tolerance", "noise", "--out", small, "--json").document
+    assert 0.001 < document["tolerance"] < 0.2
+    container = run("info", small, "--json").document["container"]
+    assert container["floor_per_sr"] == document["floor_per_sr"]
+    assert container["bytes"] == document["bytes"] == small.stat().st_size
+    words = ["compress", plaster, "--tolerance", "0.01", "--floor", "G=0.5", "--out", small, "--json"]
+    floors = run(*words).document["floor_per_sr"]
+    assert floors[1] == 0.5
+    assert floors[0] != 0.5
+    assert "container.tolerance" in run("info", small).out
+    for floor, code in (("X=1", "unknown-channel"), ("R=-1", "bad-floor")):
+        ran = run("compress", plaster, "--tolerance", "0.01", "--floor", floor, "--out", small, "--json")
+        assert (ran.status, ran.document["error"]["code"]) == (2, code)
+    assert run("compress", plaster, "--tolerance", "some", "--out", small).status == 2
+
+
+def test_a_damaged_container_is_salvaged(run: Run, plaster: Path, tmp_path: Path) -> None:
+    from fitter.compression import compress
+
+    small, text = tmp_path / "small.brdf", tmp_path / "again.csv"
+    table = fitter.load(plaster)
+    packed = compress(table, 0.01, tile=200)
+    data = bytearray(packed.to_bytes())
+    data[bytes(data).index(packed.blocks["values 1"].data) + 3] ^= 1
+    small.write_bytes(data)
+    ran = run("decompress", small, "--out", text, "--json")
+    assert (ran.status, ran.document["error"]["column"]) == (2, "values 1")
+    assert "--salvage" in ran.document["error"]["remedy"]
+    assert run("info", small).status == 2
+    document = run("decompress", small, "--out", text, "--salvage", "--json").document
+    assert list(document["damaged"]) == ["values 1"]
+    assert 0 < document["usable"] < table.usable
+    assert fitter.load(text).usable == document["usable"]
+
+
 @pytest.mark.parametrize("source", ["table", "model"])
 def test_sample(run: Run, plaster: Path, fits: Path, tmp_path: Path, source: str) -> None:
     origin = [plaster] if source == "table" else ["--model", fits / "ward.json"]

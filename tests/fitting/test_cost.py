@@ -106,7 +106,12 @@ def test_a_subset_alone_keeps_its_word(table):
     """Its search error bounds how far the table's own objective is above the optimum, in nearly all draws."""
     best = fitter.fit(table, "oren_nayar", metric="cosine")
     assert best.evidence["search_error"] < 1e-7
-    kept = 0
+    assert best.evidence["selection_error"] is None
+
+    def values(fit: fitter.FitResult) -> np.ndarray:
+        return np.concatenate([np.ravel(one.value) for one in fit.parameters.values()])
+
+    kept, moved = 0, []
     for seed in range(20):
         fit = fitter.fit(table, "oren_nayar", metric="cosine", subset=512, polish="subset", seed=seed)
         assert fit.status == "converged"
@@ -117,8 +122,14 @@ def test_a_subset_alone_keeps_its_word(table):
         found = np.sqrt(np.mean(off**2) / best.metrics["objective"]) - 1.0
         assert found > -1e-9
         kept += found <= fit.evidence["search_error"]
+        stated = np.array([fit.evidence["selection_error"][label] for label in fit.labels])
+        moved.append((values(fit) - values(best)) / np.sqrt(np.diag(best.covariance)) / stated)
+        assert f"{stated.max():.2g} standard errors" in fit.message
     # 95 % each: fewer than 16 of 20 has a probability below 0.3 %.
     assert kept >= 16
+    # And what it says the choice of samples does to the parameters is what it does. Systematic samples of one
+    # table in six are six different ones at most: their rms is uncertain by a third.
+    assert 0.4 < np.sqrt(np.mean(np.square(moved))) < 1.8
 
 
 def test_a_subset_says_how_well_it_stands_for_the_table(table):

@@ -46,6 +46,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     except NoTable as error:
         return _of_no_table(error)
     described: list[dict[str, Any]] = [{**describe(table), **overview(table)} for table in tables]
+    if len(described) == 1 and reading.is_container(given.table):
+        described[0]["container"] = reading.open_container(given.table).describe()
     if folder is not None:
         for one, path in zip(described, _draw(tables, folder, screen), strict=True):
             one["picture"] = str(path)

@@ -1,0 +1,186 @@
+"""A tile: a box of a table's nodes, all channels, predicted stage by stage and coded without other tiles.
+
+Numbers here are in steps: twice the error that is allowed. What is coded of a node is the whole number that
+brings its prediction next to its value, so that the error is half a step at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.compression import entropy
+from fitter.compression.archive import pack_parts, unpack_parts
+from fitter.compression.dither import dither, kinds
+from fitter.compression.entropy import Distribution
+from fitter.compression.rules import Rules, Seen, classes, next_error
+from fitter.compression.stages import Numbers, Stage, neighbours, stages, woven
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: Numbers below this are worked on in single precision, which is right to 1/250 of a step there.
+SINGLE = float(1 << 15)
+#: Dithers that are tried until the mean error of each channel is below _MEAN (steps; the bound is half of
+#: one), and the fewest numbers for which a mean says anything.
+_SEEDS, _MEAN, _FEW = 6, 0.006, 2000
+#: What the tokens stand for that no bits follow.
+_DIRECT = np.array([(k >> 1) ^ -(k & 1) for k in range(entropy.DIRECT)])
+
+#: Gives a channel's predictions, expected widths and corrections, (*nodes) each.
+_Visit = Callable[[Stage, int, Seen], tuple[Numbers, Numbers, Numbers]]
+
+
+def encode(steps: FloatArray) -> tuple[bytes, FloatArray]:
+    """The tile (C, *shape) of numbers in steps, NaN where there is nothing to code, and what it decodes to.
+
+    Where a correction would be too large to code there is none: the caller compares. Errors are as good as
+    independent, so that the mean of a few thousand may be felt; then another dither is tried.
+    """
+    good = np.isfinite(steps)
+    filled = _filled(steps)
+    count = np.maximum(good.reshape(len(good), -1).sum(axis=1), 1)
+    best: tuple[float, bytes, FloatArray] | None = None
+    for seed in range(_SEEDS):
+        data, decoded = _encode(filled, good, seed)
+        error = np.where(good, decoded - filled, 0.0).reshape(len(good), -1).sum(axis=1) / count
+        mean = float(np.abs(error).max(initial=0.0))
+        if best is None or mean < best[0]:
+            best = mean, data, decoded
+        if mean <= _MEAN or good.size < _FEW:
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
+def _encode(filled: FloatArray, good: BoolArray, seed: int) -> tuple[bytes, FloatArray]:
+    """The same of numbers without gaps."""
+    rules = Rules()
+    coder = entropy.Encoder()
+    rest: list[IntArray] = []
+    bits: list[IntArray] = []
+
+    def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
+        target, here = filled[stage.target][k], good[stage.target][k]
+        weights, widths = rules.choose((stage.axis, k), seen, target, here)
+        predicted, width = seen.predicted(weights), seen.width(widths)
+        added = dither(predicted.shape, seed, stage.number, k, predicted.dtype)
+        number = np.rint(target - predicted + added)
+        number[np.abs(number) > entropy.LARGEST] = 0.0
+        correction = np.where(here, number.astype(predicted.dtype) - added, 0)
+        sided = np.where(added < 0, -number, number)
+        token, count, low = entropy.tokens(sided[here].astype(np.int64))
+        coder.write(token, kinds(classes(width), added)[here])
+        bits.append(count[count > 0])
+        rest.append(low[count > 0])
+        return predicted, width, correction.astype(predicted.dtype)
+
+    first = filled[(slice(None), *(0 for _ in range(filled.ndim - 1)))]
+    number = number_type(float(np.abs(filled).max(initial=0.0)))
+    decoded = _walk(first.astype(number), filled.shape, visit)
+    distributions, words = coder.finish()
+    table = [[u, d.scale, d.exponent, d.top] for u, d in distributions.items()]
+    none = np.zeros(0, np.int64)
+    parts = [
+        number.char.encode() + bytes([seed]) + first.astype("<f8").tobytes(),
+        bytes(rules.written),
+        np.array(table, np.uint8).tobytes(),
+        entropy.pack_bits(np.concatenate([*rest, none]), np.concatenate([*bits, none])).tobytes(),
+        words.astype("<u4").tobytes(),
+    ]
+    return pack_parts(parts), decoded.astype(np.float64)
+
+
+def decode(data: bytes, good: BoolArray) -> FloatArray:
+    """The numbers (C, *shape) in steps that :func:`encode` coded where ``good``.
+
+    Raises ValueError where the bytes don't make up a tile.
+    """
+    first, written, table, packed, words = unpack_parts(data, 5)
+    if len(first) != 2 + 8 * len(good) or first[:1] not in (b"f", b"d") or len(table) % 4:
+        raise ValueError("its parts have other lengths than the tile's")
+    seed, start = first[1], np.frombuffer(first[2:], "<f8").astype(first[:1].decode())
+    rules = Rules(list(written))
+    rows = np.frombuffer(table, np.uint8).reshape(-1, 4)
+    distributions = {int(u): Distribution(int(s), int(m), int(top)) for u, s, m, top in rows}
+    coder = entropy.Decoder(distributions, np.frombuffer(words, "<u4").astype(np.uint32))
+    reader = entropy.BitReader(np.frombuffer(packed, np.uint8))
+    whole = bool(good.all())
+
+    def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
+        weights, widths = rules.read((stage.axis, k), seen)
+        predicted, width = seen.predicted(weights), seen.width(widths)
+        added = dither(predicted.shape, seed, stage.number, k, predicted.dtype)
+        kind = kinds(classes(width), added)
+        here = None if whole else good[stage.target][k]
+        token = coder.read(kind.reshape(-1) if here is None else kind[here])
+        number = _numbers(token, reader, predicted.dtype)
+        if here is None:
+            return predicted, width, np.copysign(1, added) * number.reshape(predicted.shape) - added
+        correction = np.zeros_like(predicted)
+        correction[here] = np.copysign(1, added[here]) * number - added[here]
+        return predicted, width, correction
+
+    return _walk(start, good.shape, visit).astype(np.float64)
+
+
+def number_type(largest: float) -> np.dtype[Any]:
+    """The type that a tile of numbers up to ``largest`` is worked in: single precision where that will do."""
+    return np.dtype(np.float32 if largest < SINGLE else np.float64)
+
+
+def _numbers(token: NDArray[np.int32], reader: entropy.BitReader, kind: np.dtype[Any]) -> Numbers:
+    """The corrections that tokens and the bits after them stand for."""
+    found = _DIRECT.astype(kind).take(token, mode="clip")
+    longer = np.flatnonzero(token >= entropy.DIRECT)
+    if len(longer):
+        tokens = token[longer].astype(np.int64)
+        bits = entropy.bits_of(tokens)
+        found[longer] = entropy.numbers(tokens, reader.read(bits), bits)
+    return found
+
+
+def _walk(first: Numbers, shape: tuple[int, ...], visit: _Visit) -> Numbers:
+    """All nodes of a tile (C, *shape), from the numbers (C,) of its first node."""
+    known = first.reshape(-1, *(1 for _ in shape[1:]))
+    error = np.zeros_like(known)
+    for stage in stages(shape[1:]):
+        near = neighbours(stage, known, error)
+        new, wrong = np.empty_like(near.slope), np.empty_like(near.slope)
+        corrections: list[Numbers] = []
+        for k in range(shape[0]):
+            predicted, width, correction = visit(stage, k, Seen.of(near, k, corrections))
+            np.add(predicted, correction, out=new[k])
+            wrong[k] = next_error(correction, width)
+            corrections.append(correction)
+        known, error = woven(stage, known, new), woven(stage, error, wrong)
+    return known
+
+
+def _filled(steps: FloatArray) -> FloatArray:
+    """The same with NaN replaced by the number before it in its channel, 0 where there is none."""
+    flat = steps.reshape(len(steps), -1)
+    last = np.maximum.accumulate(np.where(np.isfinite(flat), np.arange(flat.shape[1]), 0), axis=1)
+    found = np.take_along_axis(flat, last, axis=1)
+    return np.where(np.isfinite(found), found, 0.0).reshape(steps.shape)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A tile's place: rows [start, stop) of each axis."""
+
+    start: tuple[int, ...]
+    stop: tuple[int, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(b - a for a, b in zip(self.start, self.stop, strict=True))
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        return tuple(slice(a, b) for a, b in zip(self.start, self.stop, strict=True))
