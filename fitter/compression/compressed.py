@@ -140,9 +140,9 @@ class CompressedTable:
             document["masked"] = {**document["masked"], DAMAGED: int(np.count_nonzero(lost & mask))}
         metadata = Metadata(**document)
         sigma = None if "sigma" in self.damaged or not self.header["sigma"] else self._array("sigma")
+        wi, wo = (None if self.grid is not None else self._directions(name) for name in ("wi", "wo"))
         table = Table(
-            value=value, grid=self.grid, sigma=sigma, channels=self._channels, mask=mask & ~lost,
-            **({} if self.grid is not None else {name: self._directions(name) for name in ("wi", "wo")}),
+            value=value, grid=self.grid, wi=wi, wo=wo, sigma=sigma, channels=self._channels, mask=mask & ~lost,
             symmetry=self.header["symmetry"], metadata=metadata, negatives="keep", duplicates="keep",
         )  # fmt: skip
         table.metadata = metadata  # the counts by reason are the original's, not those of reading it back
