@@ -142,8 +142,9 @@ class CompressedTable:
         sigma = None if "sigma" in self.damaged or not self.header["sigma"] else self._array("sigma")
         wi, wo = (None if self.grid is not None else self._directions(name) for name in ("wi", "wo"))
         table = Table(
-            value=value, grid=self.grid, wi=wi, wo=wo, sigma=sigma, channels=self._channels, mask=mask & ~lost,
-            symmetry=self.header["symmetry"], metadata=metadata, negatives="keep", duplicates="keep",
+            value=value, grid=self.grid, wi=wi, wo=wo, sigma=sigma, channels=self._channels,
+            mask=mask & ~lost, symmetry=self.header["symmetry"], metadata=metadata, negatives="keep",
+            duplicates="keep",
         )  # fmt: skip
         table.metadata = metadata  # the counts by reason are the original's, not those of reading it back
         if self.tolerance == 0 and not self.damaged and table.hash != self.source_hash:
