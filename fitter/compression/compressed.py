@@ -164,8 +164,9 @@ class CompressedTable:
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """As :meth:`fitter.table.Table.evaluate`, of the decompressed table.
 
-        Of a grid only the tiles that hold nodes about the directions are unpacked, and kept; a scattered
-        table is unpacked once as a whole, since its triangles need all directions.
+        Of a grid only the tiles that hold nodes about the directions are unpacked, and kept (in incoming and
+        outgoing angles: all nodes of the incidences about them, whose energy decides how they are
+        interpolated); a scattered table is unpacked once as a whole, since its triangles need all directions.
         """
         return self._interpolant.evaluate(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
 

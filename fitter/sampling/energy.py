@@ -17,7 +17,6 @@ nodes; k is chosen so that the integral is the sum less that excess.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,22 +51,13 @@ class GridEnergy:
     left: float
 
 
-def grid_energy(
-    axes: Sequence[Axis], shape: Sequence[int], value: FloatArray, mask: BoolArray
-) -> tuple[GridEnergy, ...]:
-    """Of values (N, C) and mask (N,) in storage order, for each incidence; channels are averaged."""
-    rows, columns = shape[-2:]
-    theta, phi = axes[-2:]
+def grid_energy(theta: Axis, phi: Axis, value: FloatArray, mask: BoolArray) -> GridEnergy:
+    """Of the values (n, C) and mask (n,) of one incidence, in storage order; channels are averaged."""
+    shape = len(theta.nodes), len(phi.nodes)
+    usable = mask.reshape(shape)
     weight = np.outer(_weights(theta, polar=True), _weights(phi, polar=False))
-    found: list[GridEnergy] = []
-    size = rows * columns
-    for start in range(0, len(value), size):
-        usable = mask[start : start + size].reshape(rows, columns)
-        mean = np.where(
-            usable, np.maximum(value[start : start + size], 0.0).mean(axis=1).reshape(rows, columns), 0.0
-        )
-        found.append(_of_slice(theta, phi, mean, np.where(usable, weight, 0.0)))
-    return tuple(found)
+    mean = np.where(usable, np.maximum(value, 0.0).mean(axis=1).reshape(shape), 0.0)
+    return _of_slice(theta, phi, mean, np.where(usable, weight, 0.0))
 
 
 def _of_slice(theta: Axis, phi: Axis, value: FloatArray, weight: FloatArray) -> GridEnergy:

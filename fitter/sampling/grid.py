@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from fitter import directions
-from fitter.sampling.axes import Axis, Place, axes_of, corners
+from fitter.sampling.axes import Axis, axes_of, corners
 from fitter.sampling.energy import GridEnergy, grid_energy
 from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
@@ -45,6 +45,7 @@ class GridInterpolant:
         self.mask = mask
         self.axes: tuple[Axis, ...] = axes_of(grid)
         self._weighted: WeightedTable | None = None
+        self._energies: dict[int, GridEnergy] = {}
 
     @property
     def in_plane(self) -> bool:
@@ -72,7 +73,7 @@ class GridInterpolant:
 
     def __getstate__(self) -> dict[str, Any]:
         kept = ("grid", "value", "mask", "axes")  # what was computed from them is computed again
-        return {**{name: vars(self)[name] for name in kept}, "_weighted": None}
+        return {**{name: vars(self)[name] for name in kept}, "_weighted": None, "_energies": {}}
 
     @cached_property
     def _nearest(self) -> NDArray[np.int32]:
@@ -97,8 +98,12 @@ class GridInterpolant:
             cross = wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0]
             outside |= np.abs(cross) > _PLANE * np.hypot(wi[:, 0], wi[:, 1]) * np.hypot(wo[:, 0], wo[:, 1])
         around = corners(places, self.grid.shape)
-        if self.grid.system != "half_difference" and (self.roots != 1).any():
-            total, share, missing = self._by_roots(places, around)
+        incoming: list[tuple[IndexArray, FloatArray]] = []
+        if self.grid.system != "half_difference":
+            incoming = corners(places[:-2], self.grid.shape[:-2])
+        roots = [self._roots(node, weight) for node, weight in incoming]
+        if any((root != 1).any() for root in roots):
+            total, share, missing = self._by_roots(roots, around)
         else:
             total, share, missing = self._sums(around)
         outside |= missing
@@ -126,28 +131,34 @@ class GridInterpolant:
         return np.asarray(total), np.asarray(share), missing
 
     def _by_roots(
-        self, places: list[Place], around: list[tuple[IndexArray, FloatArray]]
+        self, roots: list[FloatArray], around: list[tuple[IndexArray, FloatArray]]
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """As :meth:`_sums`; between outgoing angles, roots are what is interpolated."""
-        incoming = corners(places[:-2], self.grid.shape[:-2])
+        """As :meth:`_sums`; between outgoing angles, roots are what is interpolated. ``roots`` : (M,) of each
+        incoming corner."""
         total, share, missing = 0.0, 0.0, np.zeros(len(around[0][0]), bool)
-        for k, (node, _) in enumerate(incoming):
-            root = self.roots[node][:, None]
+        for k, one in enumerate(roots):
+            root = one[:, None]
             some, of, gone = self._sums(around[4 * k : 4 * k + 4], 1 / root)
             known = of > 0
             mean = powered(some / np.where(known, of, 1.0)[:, None], root)
             total, share, missing = total + of[:, None] * mean, share + of, missing | gone
         return np.asarray(total), np.asarray(share), missing
 
-    @cached_property
-    def energy(self) -> tuple[GridEnergy, ...]:
-        """What interpolation does to the energy of each incidence of an in/out grid, in storage order."""
-        return grid_energy(self.axes, self.grid.shape, self.value, self.mask)
+    def energy(self, incidence: int) -> GridEnergy:
+        """What interpolation does to the energy of one incidence of an in/out grid, in storage order."""
+        if incidence not in self._energies:
+            theta, phi = self.axes[-2:]
+            size = len(theta.nodes) * len(phi.nodes)
+            index = np.arange(incidence * size, (incidence + 1) * size)
+            self._energies[incidence] = grid_energy(theta, phi, self.value[index], self.mask[index])
+        return self._energies[incidence]
 
-    @cached_property
-    def roots(self) -> FloatArray:
-        """(incidences,) what power the interpolation between outgoing angles is of; 1 is linear."""
-        return np.array([one.root for one in self.energy])
+    def _roots(self, node: IndexArray, weight: FloatArray) -> FloatArray:
+        """(M,) what power the interpolation between the outgoing angles of incidences is of; 1 is linear. Of
+        incidences without weight nothing is asked."""
+        needed, where = np.unique(np.where(weight > _NO_WEIGHT, node, -1), return_inverse=True)
+        roots = np.array([1.0 if k < 0 else self.energy(int(k)).root for k in needed])
+        return roots[where.reshape(-1)]
 
     def slice(self, wi: ArrayLike) -> Slice:
         """The interpolant at the one incidence ``wi`` (3,)."""
@@ -170,8 +181,8 @@ class GridInterpolant:
                 known = usable_there[index[0]]
                 usable &= known
                 there = np.where(known[:, None], per_incidence[index[0]], 0.0)
-                energy = self.energy[index[0]]
-                nodes.append(Node(float(weight[0]), there, float(self.roots[index[0]]), energy.left))
+                energy = self.energy(int(index[0]))
+                nodes.append(Node(float(weight[0]), there, energy.root, energy.left))
         return SphericalSlice(outgoing, tuple(nodes), usable, rotation, extrapolated)
 
     def joint(

@@ -174,7 +174,7 @@ def of_spherical(
                 key = node, common.tobytes()
                 if key not in known:
                     there = np.where(usable[node][:, None], value[node], 0.0)
-                    one = (Node(1.0, there, float(grid.roots[node])),)
+                    one = (Node(1.0, there, grid.energy(int(node)).root),)
                     part = SphericalSlice(outgoing, one, common, 0.0, False)
                     known[key] = _member(
                         members, lambda p=part: p.envelope(weights, acceptance, cells, method)

@@ -15,6 +15,7 @@ from fitter.compression import CompressedTable, compress
 from fitter.compression.compressed import DAMAGED
 from fitter.directions import vector_from_spherical
 from fitter.errors import SpecError, TableError
+from fitter.formats.merl import merl_grid
 from fitter.table import Channel, Grid, Metadata, Table
 
 NUMBERS = st.one_of(
@@ -256,9 +257,11 @@ def test_every_value_of_a_grid_is_within_the_guarantee(data: st.DataObject) -> N
     assert np.array_equal(kept.values(index), back.value[index], equal_nan=True)
 
 
-@pytest.mark.parametrize("kind", ["grid", "scattered"])
+@pytest.mark.parametrize("kind", ["grid", "half_difference", "scattered"])
 def test_evaluating_unpacks_what_it_needs(kind: str) -> None:
-    table = smooth_grid((8, 11, 14) if kind == "grid" else (3, 5, 6), channels=2)
+    table = smooth_grid((3, 5, 6) if kind == "scattered" else (8, 11, 14), channels=2)
+    if kind == "half_difference":
+        table = Table(value=table.value, grid=merl_grid((8, 11, 14)))
     if kind == "scattered":
         table = Table(wi=table.wi, wo=table.wo, value=table.value)
     small = compress(table, 0.01, tile=400)
@@ -268,7 +271,7 @@ def test_evaluating_unpacks_what_it_needs(kind: str) -> None:
     expected = small.decompress().evaluate(wi, wo)
     one = small.evaluate(wi[0], wo[0])
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(one, expected, strict=True))
-    if kind == "grid":
+    if kind == "half_difference":
         assert len(small.tiles._kept) < small.tiles.count
     assert all(np.array_equal(a, b) for a, b in zip(small.evaluate(wi, wo), expected, strict=True))
 

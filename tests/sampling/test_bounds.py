@@ -7,6 +7,7 @@ import pytest
 
 from fitter.directions import vector_from_spherical
 from fitter.sampling.bilinear import BilinearEnvelope
+from fitter.sampling.energy import GridEnergy
 from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
 from fitter.sampling.half_difference import HalfDifferenceField
 from fitter.sampling.interpolant import interpolant
@@ -64,7 +65,8 @@ def test_half_difference_bounds_hold_on_any_cell(degree: float, holes: float) ->
 def test_bilinear_envelopes_dominate(table: Table, root: float) -> None:
     grid = interpolant(rough(table, 0.02))
     assert isinstance(grid, GridInterpolant)
-    vars(grid)["roots"] = np.full(len(grid.energy), root)
+    incidences = int(np.prod(grid.grid.shape[:-2]))
+    vars(grid)["_energies"] = {k: GridEnergy(0.0, root, 0.0) for k in range(incidences)}
     part = grid.slice(vector_from_spherical(0.6, 0.2))
     assert isinstance(part, SphericalSlice)
     channels = part.nodes[0].value.shape[1]
