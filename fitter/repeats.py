@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +13,9 @@ from fitter.parts import in_parts
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 KeyArray = NDArray[np.uint64]
+
+#: Fewer numbers than this one core sorts as fast as several.
+_MANY = 1 << 20
 
 #: Components are told apart at this step: gonioreflectometers repeat to about 1e-4 rad.
 STEP = 1e-6
@@ -23,17 +29,36 @@ def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
     first, second = _packed(wi), _packed(wo)
     found = np.zeros(len(first), bool)
     mixed = _mixed(first, second)
-    ordered = np.sort(mixed)
-    several = ordered[1:][ordered[1:] == ordered[:-1]]
+    several = _several(mixed)
     if not several.size:
         return found
+
+    def look(part: slice) -> None:
+        place = np.minimum(np.searchsorted(several, mixed[part]), several.size - 1)
+        found[part] = several[place] == mixed[part]
+
+    in_parts(look, len(mixed))
     # Rows that differ may mix to one number: those that do are compared in full.
-    place = np.minimum(np.searchsorted(several, mixed), several.size - 1)
-    rows = np.flatnonzero(several[place] == mixed)
+    rows = np.flatnonzero(found)
+    found[:] = False
     rows = rows[np.lexsort((second[rows], first[rows]))]  # stable: the earliest of each kind stays in front
     same = (first[rows[1:]] == first[rows[:-1]]) & (second[rows[1:]] == second[rows[:-1]])
     found[rows[1:][same]] = True
     return found
+
+
+def _several(mixed: KeyArray) -> KeyArray:
+    """The numbers that occur more than once, in order. They are sorted by their highest bits' value, so that
+    cores share the work."""
+    if len(mixed) < _MANY:
+        return _doubled(np.sort(mixed))
+    highest = (mixed >> np.uint64(62)).astype(np.uint8)
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return np.concatenate(list(pool.map(lambda k: _doubled(np.sort(mixed[highest == k])), range(4))))
+
+
+def _doubled(ordered: KeyArray) -> KeyArray:
+    return ordered[1:][ordered[1:] == ordered[:-1]]
 
 
 def _mixed(first: KeyArray, second: KeyArray) -> KeyArray:

@@ -37,6 +37,7 @@ def test_repeats(pairs: list[tuple[tuple[float, ...], tuple[float, ...]]]):
 @pytest.mark.parametrize("part", [7, 1 << 15])
 def test_many_repeats(part: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(parts, "ROWS", part)
+    monkeypatch.setattr(repeats, "_MANY", part)
     rng = np.random.default_rng(1)
     w = rng.standard_normal((2, 200, 3))
     w /= np.linalg.norm(w, axis=-1, keepdims=True)
