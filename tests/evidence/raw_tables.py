@@ -51,6 +51,8 @@ _MADE: Mapping[str, Callable[[], Table]] = {
 TESTS = 2 * 5 * len(METHODS) * (len(_MEASURED) + len(_MADE))
 #: By Sidak: the p-value below which one of that many independent tests fails.
 SIGNIFICANCE = float(-np.expm1(np.log1p(-P) / TESTS))
+#: The highest incidence of a made MERL grid; measured ones hold nothing of use beyond.
+GRAZING = np.deg2rad(80.0)
 #: Estimated error of all expected counts together, as a share of the draws.
 MOST_ERROR = 2e-3
 
@@ -115,6 +117,9 @@ def judge(name: str, share: float, seed: int) -> Outcome:
     table = opened(name)
     rng = np.random.default_rng([seed, *name.encode()])
     low, high = table.domain.theta_i
+    if name.startswith("made: MERL"):
+        # Such a grid reaches to 90 deg, where next to nothing is measured, and nothing is accepted.
+        high = min(high, GRAZING)
     violations: list[dict[str, Any]] = []
     figures: dict[str, Any] = {"tests": 0, "least p": 1.0, "attacks": 0, "integral off": 0.0}
     accepted: dict[str, list[float]] = {method: [] for method in METHODS}
@@ -171,13 +176,14 @@ def _against_the_table(table: Table, wi: np.ndarray, drawn: fitter.Samples) -> l
     """What is wrong with the stated density at some of the draws, held to ``table.evaluate``."""
     some = slice(0, 20_000)
     value, extrapolated = table.evaluate(wi, drawn.wo[some])
-    value = value.mean(axis=1) * drawn.wo[some, 2]
+    value = np.maximum(value, 0.0).mean(axis=1) * drawn.wo[some, 2]
     stated = drawn.pdf[some]
-    # Clamping raises a mean; elsewhere the two are proportional.
+    # Nodes are clamped, not what lies between them: next to negative ones (a tenth of the draws of an RGL
+    # material beyond the gamut) the two differ a little; elsewhere they are proportional.
     plain = (value > 0) & ~extrapolated
     ratio = stated[plain] / value[plain]
     found: list[str] = []
-    if np.mean(np.abs(ratio / np.median(ratio) - 1) < 1e-6) < (0.5 if table.between is not None else 0.999):
+    if np.mean(np.abs(ratio / np.median(ratio) - 1) < 1e-6) < (0.85 if table.between is not None else 0.999):
         found.append("the stated density is not the table's interpolant")
     if not _highest(table, wi) and extrapolated.mean() > 1e-3:
         found.append("draws lie outside the measured domain")
