@@ -144,17 +144,21 @@ def _margin(prediction: Prediction) -> float:
     return max(1.0, prediction.factor / GRACE)
 
 
-def remember_compiled(request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int) -> None:
+def remember_compiled(
+    request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int, reducible: bool
+) -> None:
     """Note that the programs of a fit are compiled now."""
-    case = _of_fit(request, places, metric, samples, channels)
+    case = _of_fit(request, places, metric, samples, channels, reducible)
     compiled_here().update(case.programs(_effort(request, case)).values())
 
 
-def _of_fit(request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int) -> Case:
+def _of_fit(
+    request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int, reducible: bool
+) -> Case:
     from fitter.fitting import candidates
 
     usual = candidates.default_counts(len(places.free))[1]
-    return Case("", places, request.solver, metric, samples, channels, 1, usual, 0)
+    return Case("", places, request.solver, metric, samples, channels, 1, usual, 0, reducible)
 
 
 def _effort(request: FitSpec, case: Case) -> Effort:

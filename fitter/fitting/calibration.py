@@ -22,7 +22,8 @@ SMALL, LARGE = 1000, 60_000
 REPEATS = 3
 #: Names of the engine's laps by the phase of the cost model; what is not named is part of the check.
 LAPS: Mapping[str, Phase] = {
-    "prepare": "prepare", "search": "search", "subset polish": "search", "polish": "polish"
+    "prepare": "prepare", "reduce": "prepare", "search": "search", "subset polish": "search",
+    "polish": "polish",
 }  # fmt: skip
 
 

@@ -211,7 +211,8 @@ def _compiling(book: Book, case: Case, effort: Effort, runs: Sequence[Run]) -> f
             if run.cached == cached and (seconds := getattr(run, f"compile_{part}")) is not None
         ]  # fmt: skip
         if spent:
-            found += float(np.median(spent[-NEAREST:]))
+            # The longest: where nearly all was compiled before, what was left says little.
+            found += max(spent[-NEAREST:])
         else:
             whole = getattr(book.calibration, f"compile_{part}") * case.weight["compile"]
             found += whole * (LEFT_BY_CACHE if cached else 1.0)

@@ -15,10 +15,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from fitter.compression import CompressedTable
-from fitter.fitting import candidates, search_error
+from fitter.fitting import candidates, reduction, search_error
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.least_squares import TOLERANCE
-from fitter.fitting.samples import padded
+from fitter.fitting.polish import CHUNK
+from fitter.fitting.samples import ENOUGH, padded
 from fitter.spec import FitSpec, Polish
 from fitter.table import Table
 
@@ -76,6 +77,8 @@ class Case:
     groups: int
     usual_starts: int
     parameters: int
+    #: Whether a large table of this kind is reduced to pseudo-samples.
+    reducible: bool = False
 
     @staticmethod
     def of(table: Table | CompressedTable, request: FitSpec) -> Case:
@@ -91,16 +94,25 @@ class Case:
         groups = channel_groups(request, channels)
         places = layout(request, channels)
         _, usual = candidates.default_counts(len(places.free))
+        # What a compressed table is made of is known when it is unpacked.
+        reducible = isinstance(table, Table) and reduction.applies(places, metric, table, samples)
         key = "|".join(
             [
                 request.model.name, request.solver, metric, ",".join(sorted(request.fixed)),
                 ",".join(request.model.per_channel or ()), str(isinstance(table, CompressedTable)),
+                str(reducible),
             ]
         )  # fmt: skip
         parameters = len(groups) * (len(places.entries) + len(places.linear) * len(groups[0]))
         return Case(
-            key, places, request.solver, metric, max(1, samples), channels, len(groups), usual, parameters
+            key, places, request.solver, metric, max(1, samples), channels, len(groups), usual, parameters,
+            reducible,
         )
+
+    @property
+    def reduced(self) -> bool:
+        """Whether the whole table is looked at once, and searched as a few pseudo-samples."""
+        return self.reducible and self.samples > USUAL
 
     def sized(self, samples: int, channels: int) -> Case:
         """The same kind of fit of another table."""
@@ -122,6 +134,10 @@ class Case:
         """What there is to choose from; ``starts`` where the caller names them."""
         usual = starts or self.usual_starts
         fewer = [1] if starts is None and usual > 1 else []
+        if self.reduced:
+            # The whole table costs less than a subset of it, which would be drawn and searched as it is.
+            more = [times * usual for times in MORE] if starts is None and self.places.entries else []
+            return [Effort(USUAL, s, "full") for s in (*fewer, usual, *more)]
         sizes = [m for m in SUBSETS if m < self.samples]
         found = [Effort(m, s, "subset") for m in sizes for s in (*(fewer if m <= 1024 else ()), usual)]
         whole = min(USUAL, self.samples)
@@ -136,11 +152,14 @@ class Case:
         subset = min(effort.subset, self.samples)
         full = self.complete(effort)
         looked_at = self.samples if full else subset
-        searched = padded(subset) * self.channels
+        reduced = self.reduced and effort.polish == "full"
+        searched = (CHUNK if reduced else padded(subset)) * self.channels
+        # A subset is drawn from a part of a large table.
+        drawn = 0 if reduced or subset == self.samples else min(self.samples, max(ENOUGH, 8 * subset))
         return {
-            "prepare": float(self.samples * self.channels),
+            "prepare": float((self.samples + drawn) * self.channels),
             "search": float((effort.starts + 4) * searched),
-            "polish": float(passes * looked_at * self.channels) if full else 0.0,
+            "polish": float(passes * looked_at * self.channels) if full and not reduced else 0.0,
             "check": float(looked_at * self.channels),
         }
 
@@ -150,11 +169,14 @@ class Case:
 
     def programs(self, effort: Effort) -> dict[str, Hashable]:
         """What has to be compiled: the search by the subset's length and the starts, and the rest."""
-        size = padded(min(effort.subset, self.samples))
+        reduced = self.reduced and effort.polish == "full"
+        size = "reduced" if reduced else padded(min(effort.subset, self.samples))
+        # Few starts are one program with the usual candidates; more starts screen more of them.
+        screened = max(candidates.default_counts(len(self.places.free))[0], 4 * effort.starts)
         common = (self.places, self.solver, self.channels)
         return {
-            "search": ("search", *common, size, effort.starts),
-            "rest": ("rest", *common, self.metric, self.complete(effort)),
+            "search": ("search", *common, size, screened),
+            "rest": ("rest", *common, self.metric, self.complete(effort), size),
         }
 
     def error(self, effort: Effort, spreads: Sequence[float] = ()) -> float:

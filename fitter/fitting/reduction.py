@@ -29,6 +29,8 @@ from fitter.fitting.polish import CHUNK, Arrays, arrays, over_blocks
 from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
 from fitter.models.pair import Pair
 from fitter.models.span import Span
+from fitter.spec import Metric
+from fitter.table import Grid, Table
 
 FloatArray = NDArray[np.float64]
 #: Directions of a slab's matrix below this share of its largest are rounding.
@@ -48,25 +50,34 @@ def reduce(layout: Layout, data: Usable, channels: Sequence[int]) -> Block | Non
     """The pseudo-samples of the channels as a block whose ``pair`` has J (6 + K) rows; None where the model,
     the metric or the table allows no reduction."""
     span = layout.family.span(layout.spec)
-    if span is None or data.metric not in QUADRATIC or layout.mixed or data.turn:
+    if span is None or not applies(layout, data.metric, data.table, len(data)):
         return None
-    slabs = _slabs(span, data)
-    if slabs is None:
-        return None
+    slabs = _slabs(span, data.table.grid)
     grams = _grams(layout, span, data, tuple(channels), slabs)
     references = [_components(span, theta_h) for theta_h in slabs.theta_h]
     inverses = _inverses(layout, span, np.stack(references))
     return _pseudo(np.stack(references), inverses, grams, len(channels))
 
 
-def _slabs(span: Span, data: Usable) -> _Slabs | None:
-    grid = data.table.grid
+def applies(layout: Layout, metric: Metric, table: Table, samples: int) -> bool:
+    """Whether a fit of this many samples of a table can be one of pseudo-samples."""
+    span = layout.family.span(layout.spec)
+    turned = table.symmetry == "isotropic" and not layout.family.isotropic(layout.spec)
+    if span is None or metric not in QUADRATIC or layout.mixed or turned:
+        return False
+    if span.within == "all":
+        return True
+    grid = table.grid
+    if grid is None or grid.system != "half_difference" or grid.size > 2 * samples:
+        return False
+    return grid.size // grid.shape[0] <= BLOCK
+
+
+def _slabs(span: Span, grid: Grid | None) -> _Slabs:
     if span.within == "all":
         return _Slabs(1, 0, np.zeros(1))
-    if grid is None or grid.system != "half_difference" or grid.size > 2 * len(data):
-        return None
-    length = grid.size // grid.shape[0]
-    return None if length > BLOCK else _Slabs(grid.shape[0], length, grid.axes["theta_h"])
+    assert grid is not None
+    return _Slabs(grid.shape[0], grid.size // grid.shape[0], grid.axes["theta_h"])
 
 
 def _components(span: Span, theta_h: float) -> FloatArray:
