@@ -36,14 +36,11 @@ def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> 
             remedy="read the fit itself, or upload the table and fit again",
         )  # fmt: skip
     from fitter.fitting import FitResult
-    from fitter.posterior import Posterior, predictive, robust
+    from fitter.posterior import Posterior
 
     fit = FitResult.from_dict(here.results.read(row.id))
     posterior = None if posterior_id is None else Posterior.from_dict(here.results.read(posterior_id))
     table = here.tables.open(table_row).table
-    report = importlib.import_module("fitter.report")
-    without = robust(table, fit)
-    bands = predictive(table, fit, without, fit.spec.seed)
-    made: Any = report.build(table, fit, posterior, without_scans=without, bands=bands)
+    made: Any = importlib.import_module("fitter.report").complete(table, fit, posterior)
     here.results.write_report(name, "json", dumps(made.to_dict()))
     here.results.write_report(name, "html", made.html().encode())

@@ -18,13 +18,14 @@ from typing import Any, TypeAlias
 from fitter import progress
 from fitter.compression import CompressedTable
 from fitter.errors import FitError
-from fitter.fitting import calibration, cost_model
+from fitter.fitting import calibration, cost_model, reduction
 from fitter.fitting.compiling import compiled_here
 from fitter.fitting.cost_model import Book, Prediction
 from fitter.fitting.effort import Case, Effort
 from fitter.fitting.layout import Layout
 from fitter.fitting.result import FitResult
-from fitter.spec import FitSpec, Metric
+from fitter.fitting.samples import Usable
+from fitter.spec import FitSpec
 from fitter.table import Table
 
 Engine: TypeAlias = Callable[[Table | CompressedTable, FitSpec, progress.Progress], FitResult]
@@ -144,21 +145,18 @@ def _margin(prediction: Prediction) -> float:
     return max(1.0, prediction.factor / GRACE)
 
 
-def remember_compiled(
-    request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int, reducible: bool
-) -> None:
+def remember_compiled(request: FitSpec, places: Layout, data: Usable, channels: int) -> None:
     """Note that the programs of a fit are compiled now."""
-    case = _of_fit(request, places, metric, samples, channels, reducible)
+    case = _of_fit(request, places, data, channels)
     compiled_here().update(case.programs(_effort(request, case)).values())
 
 
-def _of_fit(
-    request: FitSpec, places: Layout, metric: Metric, samples: int, channels: int, reducible: bool
-) -> Case:
+def _of_fit(request: FitSpec, places: Layout, data: Usable, channels: int) -> Case:
     from fitter.fitting import candidates
 
     usual = candidates.default_counts(len(places.free))[1]
-    return Case("", places, request.solver, metric, samples, channels, 1, usual, 0, reducible)
+    reducible = reduction.applies(places, data.metric, data.table, len(data))
+    return Case("", places, request.solver, data.metric, len(data), channels, 1, usual, 0, reducible)
 
 
 def _effort(request: FitSpec, case: Case) -> Effort:

@@ -13,7 +13,6 @@ from fitter import progress, spec
 from fitter.compression import CompressedTable
 from fitter.errors import FitError, SpecError
 from fitter.fitting import budget, clock, metrics
-from fitter.fitting import reduction as reductions
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable, usable
@@ -163,8 +162,7 @@ def _timed(
         solved.append(solve(places, request, data, group, draw, clock))
     progress(0.95, "writing up")
     result = write_up(table, request, metric, data, groups, solved, reduction, clock)
-    reducible = reductions.applies(places, metric, data.table, len(data))
-    budget.remember_compiled(request, places, metric, len(data), len(groups[0]), reducible)
+    budget.remember_compiled(request, places, data, len(groups[0]))
     progress(1.0, "done")
     return result
 

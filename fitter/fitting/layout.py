@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -101,6 +101,15 @@ class Layout:
             value = u[self.where[:, k]] if self.own[k] else u[self.where[0, k]]
             found[name] = jnp.exp(value) if log else value
         return found
+
+    def search_vector(self, values: Mapping[str, FloatArray], group: Sequence[int]) -> FloatArray:
+        """u (T,) of the channels ``group`` from values by name, () where shared, else one of each channel."""
+        u = np.empty(len(self.entries))
+        for entry, (k, own) in enumerate(self.entries):
+            value = values[self.free[k]]
+            number = float(value[group[own or 0]] if np.ndim(value) else value)
+            u[entry] = np.log(number) if self.logs[k] else number
+        return u
 
     def terms(self, u: Array, pair: Array) -> Array:
         """Terms at pairs (6, n): (K, n), or (C, K, n) where channels have parameters of their own.

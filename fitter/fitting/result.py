@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fitter import models, spec
 from fitter.documents import finite_or_none, floats, read_document, write_document
 from fitter.errors import SpecError
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 KIND = "brdf-fitter/fit"
@@ -76,6 +77,20 @@ class FitResult:
     def seconds(self) -> float:
         """Wall time of the whole fit."""
         return float(self.cost["seconds"])
+
+    def columns_of(self, table: Table) -> tuple[int, ...]:
+        """The position in a table of each of the model's channels, by name. Raises SpecError where the table
+        has not all of them."""
+        names = [channel.name for channel in table.channels]
+        missing = [name for name in self.model.channels if name not in names]
+        if missing:
+            raise SpecError(
+                f"the fit has a channel {missing[0]!r} and the table has {', '.join(names)}",
+                code="table-mismatch", parameter="table",
+                cause="the result belongs to another table, or it was read with other options",
+                remedy="give the table that was fitted",
+            )  # fmt: skip
+        return tuple(names.index(name) for name in self.model.channels)
 
     def to_dict(self) -> dict[str, Any]:
         return {

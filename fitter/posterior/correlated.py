@@ -61,7 +61,7 @@ def correlated_outer(
     value, slopes = sample_scores(layout, metric, floor, p, block)  # (C, n), (P, C, n)
     at = features(block.pair[:3, :n].T, block.pair[3:, :n].T, isotropic=isotropic)[every]
     value, slopes = value[:, every], slopes[:, :, every]
-    distance = np.sqrt(np.square(at[:, None] - at[None]).sum(axis=2))
+    distance = distances(at, at)
     size = np.stack([local_size(at, own) for own in value])
     each = [correlation(own / scale, distance) for own, scale in zip(value, size, strict=True)]
     correlations = np.stack([one.at(distance) for one in each])
@@ -75,6 +75,11 @@ def correlated_outer(
     m = len(every)
     worth = [n / (1.0 + (n - 1) * (one.sum() - m) / max(m * (m - 1), 1)) for one in correlations]
     return Field(rows @ mean @ rows.T, [float(w) for w in worth])
+
+
+def distances(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n, m) distances of points (n, d) and (m, d)."""
+    return np.sqrt(np.square(a[:, None] - b[None]).sum(axis=2))
 
 
 def local_size(at: FloatArray, residual: FloatArray) -> FloatArray:

@@ -109,10 +109,9 @@ def start(
         low += [p.lower] * c
         high += [min(p.upper, LARGEST_SCALE * np.pi * float(np.abs(value).max()))] * c
     lower, upper = places.box
+    x += list(places.search_vector({name: e.value for name, e in fit.parameters.items()}, group))
     for entry, (k, c_own) in enumerate(places.entries):
         estimate, channel = fit.parameters[places.free[k]].value, group[c_own or 0]
-        number = float(estimate[channel] if np.ndim(estimate) else estimate)
-        x.append(float(np.log(number)) if places.logs[k] else number)
         labels.append(places.free[k] + (f"[{names[channel]}]" if np.ndim(estimate) else ""))
         low.append(lower[entry])
         high.append(upper[entry])

@@ -21,7 +21,6 @@ from scipy import stats
 
 from fitter.compression import CompressedTable
 from fitter.documents import finite_or_none
-from fitter.errors import SpecError
 from fitter.fitting import metrics
 from fitter.fitting.covariance import settled, to_natural
 from fitter.fitting.layout import Layout, channel_groups, layout
@@ -75,9 +74,11 @@ class Robust:
     def to_dict(self) -> dict[str, Any]:
         return {
             "labels": list(self.labels),
-            "standard_uncertainty": {k: _number(v) for k, v in self.standard_uncertainty.items()},
+            "standard_uncertainty": {
+                k: finite_or_none(np.asarray(v)) for k, v in self.standard_uncertainty.items()
+            },
             "covariance": finite_or_none(self.covariance),
-            "degrees_of_freedom": _number(self.degrees_of_freedom),
+            "degrees_of_freedom": finite_or_none(np.asarray(self.degrees_of_freedom)),
             "coverage_factor": self.coverage_factor,
             "level": LEVEL,
             "method": self.method,
@@ -142,13 +143,7 @@ def robust(table: Table | CompressedTable, fit: FitResult) -> Robust:
 
 def used_by(table: Table, fit: FitResult) -> Usable:
     """The samples of the fit. Raises SpecError where its channels are not the table's."""
-    names = [channel.name for channel in table.channels]
-    missing = [name for name in fit.model.channels if name not in names]
-    if missing:
-        raise SpecError(
-            f"the fit has a channel {missing[0]!r} and the table has {', '.join(names)}",
-            code="table-mismatch", parameter="table", remedy="give the table that was fitted",
-        )  # fmt: skip
+    fit.columns_of(table)
     metric = fit.spec.metric or metrics.default(table.sigma is not None)
     anisotropic = not fit.model.isotropic(fit.spec.model)
     weighting = metrics.weighting(metric, fit.spec.weighting, table.grid is not None)
@@ -210,15 +205,10 @@ def vector(places: Layout, fit: FitResult, group: Sequence[int]) -> tuple[FloatA
     order of :func:`fitter.fitting.covariance.to_natural`."""
     names = fit.model.channels
     labels = [_label(fit, p.name, names[k]) for p in places.linear for k in group]
-    u = np.empty(len(places.entries))
-    for entry, (k, own) in enumerate(places.entries):
-        estimate, channel = fit.parameters[places.free[k]].value, group[own or 0]
-        number = float(estimate[channel] if np.ndim(estimate) else estimate)
-        u[entry] = math.log(number) if places.logs[k] else number
-        labels.append(_label(fit, places.free[k], names[channel]))
-    linear = {
-        p.name: jnp.asarray(np.atleast_1d(fit.parameters[p.name].value)[list(group)]) for p in places.linear
-    }
+    labels += [_label(fit, places.free[k], names[group[own or 0]]) for k, own in places.entries]
+    values = {name: e.value for name, e in fit.parameters.items()}
+    u = places.search_vector(values, group)
+    linear = {p.name: jnp.asarray(np.atleast_1d(values[p.name])[list(group)]) for p in places.linear}
     if places.coefficients_are_free:
         nonlinear = places.nonlinear(jnp.asarray(u))
         rows = places.family.coefficients(places.spec, linear, nonlinear)
@@ -272,7 +262,3 @@ def _moves(scores: FloatArray, slopes: FloatArray, curvature: FloatArray, exact:
             along = axes @ ((axes.T @ along) / np.maximum(left, LEAST_LEFT))
         moves[g] = turn @ along
     return moves
-
-
-def _number(x: float) -> float | None:
-    return x if math.isfinite(x) else None

@@ -26,7 +26,7 @@ from fitter.directions import half_difference_from_vectors, spherical_from_vecto
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import padded
 from fitter.models.padded import evaluated
-from fitter.posterior.correlated import matern
+from fitter.posterior.correlated import distances, matern
 from fitter.posterior.jackknife import Robust, used_by
 from fitter.table import Table
 
@@ -36,7 +36,7 @@ ESTIMATED_FROM, CONDITIONED_ON = 350, 1_000
 #: Samples that the scale is estimated from, at most.
 SCALED_FROM = 20_000
 #: What ranges are shortened by: between scans the misfit changes faster than along them. Chosen on measured
-#: tables; leaving any one of them out chooses it as well (see docs/report.md).
+#: tables by a prototype; leaving any one of them out chose it as well.
 SHORTENED = 0.6
 RANGES = np.geomspace(0.05, 3.0, 18)
 SHARES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.97, 0.99, 0.997, 0.999)
@@ -71,7 +71,7 @@ class Process:
 
     def at_new(self, at: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (m,) of scaled residuals of new measurements at features (m, 4)."""
-        field = self.size**2 * self.share * matern(_distances(at, self.at) / self.reach)
+        field = self.size**2 * self.share * matern(distances(at, self.at) / self.reach)
         cross = field + slopes @ self.slopes.T
         half = linalg.solve_triangular(self.factor, cross.T, lower=True)
         whole = self.size**2 + np.square(slopes).sum(axis=1)
@@ -157,8 +157,8 @@ def predictive(
     order = rng.permutation(len(data))[:SCALED_FROM]
     pair = data.part([0], order, len(order)).pair
     wi, wo = pair[:3].T, pair[3:].T
-    residual = whole.value[data.index[order]][:, list(data.channels)] - evaluated(fit.model, wi, wo)
     f, at = evaluated(fit.model, wi, wo), features(wi, wo)
+    residual = whole.value[data.index[order]][:, list(data.channels)] - f
     covariance = fit.covariance if robust is None else robust.covariance
     few = slice(CONDITIONED_ON)
     moved = slopes(fit.model, fit.labels, covariance, wi[few], wo[few])
@@ -184,9 +184,9 @@ def _processes(residual: FloatArray, f: FloatArray, at: FloatArray, moved: Float
     scales = [_scale(r, value) for r, value in zip(residual.T, f.T, strict=True)]
     z = residual / np.stack([np.hypot(r * f[:, c], e) for c, (r, e) in enumerate(scales)], axis=1)
     few, used = min(ESTIMATED_FROM, len(z)), min(CONDITIONED_ON, len(z))
-    correlations = _likeliest(z[:few], _distances(at[:few], at[:few]))
+    correlations = _likeliest(z[:few], distances(at[:few], at[:few]))
     at, z = at[:used], z[:used]
-    distance = _distances(at, at)
+    distance = distances(at, at)
     found: list[Process] = []
     for c, ((relative, floor), (reach, share)) in enumerate(zip(scales, correlations, strict=True)):
         short = reach * SHORTENED
@@ -231,7 +231,3 @@ def _likeliest(z: FloatArray, distance: FloatArray) -> list[tuple[float, float]]
             for c in np.flatnonzero(likelihood > best):
                 best[c], chosen[c] = likelihood[c], (float(reach), share)
     return chosen
-
-
-def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.sqrt(np.maximum(np.square(a[:, None] - b[None]).sum(axis=2), 0.0))

@@ -9,13 +9,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitter.report.build import build
+    from fitter.report.build import build, complete
     from fitter.report.report import Report, load_report
 
-__all__ = ["Report", "build", "load_report"]
+__all__ = ["Report", "build", "complete", "load_report"]
 
 _LAZY = {
-    "Report": "fitter.report.report", "build": "fitter.report.build", "load_report": "fitter.report.report",
+    "Report": "fitter.report.report", "build": "fitter.report.build", "complete": "fitter.report.build",
+    "load_report": "fitter.report.report",
 }  # fmt: skip
 
 

@@ -95,6 +95,21 @@ def build(
     return Report(record)
 
 
+def complete(
+    table: Table | CompressedTable,
+    fit: FitResult,
+    posterior: Posterior | None = None,
+    *,
+    others: Sequence[FitResult] = (),
+) -> Report:
+    """:func:`build` with robust uncertainties and bands of new measurements, found here: a second or two."""
+    from fitter import posterior as uncertainty
+
+    without = uncertainty.robust(table, fit)
+    bands = uncertainty.predictive(table, fit, without, fit.spec.seed)
+    return build(table, fit, posterior, others=others, without_scans=without, bands=bands)
+
+
 def _fit(fitted: Fitted) -> dict[str, Any]:
     fit = fitted.fit
     return {

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.compression import CompressedTable
-from fitter.errors import SpecError
 from fitter.report.plane import spread
 from fitter.table import Channel, Table
 
@@ -43,21 +42,23 @@ class Fitted:
     def of(table: Table | CompressedTable, fit: FitResult) -> Fitted:
         """Match channels by name. Raises SpecError where the fit has channels that the table has not."""
         whole = table.decompress() if isinstance(table, CompressedTable) else table
-        names = [channel.name for channel in whole.channels]
-        missing = [name for name in fit.model.channels if name not in names]
-        if missing:
-            raise SpecError(
-                f"the fit has a channel {missing[0]!r} and the table has {', '.join(names)}",
-                code="table-mismatch", parameter="table",
-                cause="the result belongs to another table, or it was read with other options",
-                remedy="give the table that was fitted",
-            )  # fmt: skip
-        return Fitted(whole, fit, tuple(names.index(name) for name in fit.model.channels))
+        return Fitted(whole, fit, fit.columns_of(whole))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The table's channels in the order of the model's."""
         return tuple(self.table.channels[c] for c in self.columns)
+
+    @cached_property
+    def estimates(self) -> dict[str, float]:
+        """The value of every parameter, fixed ones too, by flat label."""
+        found: dict[str, float] = {}
+        for name, e in self.fit.parameters.items():
+            channels = self.fit.model.channels if e.value.ndim else (None,)
+            found |= {
+                label_of(name, c): float(v) for c, v in zip(channels, np.atleast_1d(e.value), strict=True)
+            }
+        return found
 
     @cached_property
     def shown(self) -> tuple[int, ...]:

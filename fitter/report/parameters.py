@@ -121,13 +121,7 @@ def correlation(fitted: Fitted) -> dict[str, Any]:
     values = matrix[upper]
     order = np.argsort(-np.abs(np.where(np.isfinite(values), values, 0.0)), kind="stable")
     order = order[np.isfinite(values[order])][:MOST_PAIRS]
-    estimates: dict[str, float] = {}
-    for name, e in fit.parameters.items():
-        channels = fit.model.channels if e.value.ndim else (None,)
-        estimates |= {
-            label_of(name, c): abs(float(v)) for c, v in zip(channels, np.atleast_1d(e.value), strict=True)
-        }
-    share = [deviation[k] / max(estimates[fit.labels[k]], 1e-300) for k in stated]
+    share = [deviation[k] / max(abs(fitted.estimates[fit.labels[k]]), 1e-300) for k in stated]
     pairs = [
         {"a": shown[i], "b": shown[j], "r": float(matrix[i, j])}
         for i, j in ((upper[0][k], upper[1][k]) for k in order)

@@ -29,14 +29,9 @@ def section(fitted: Fitted, robust: Robust | None) -> dict[str, Any] | None:
         return None
     fit, channels = fitted.fit, fitted.fit.model.channels
     own = dict(zip(fit.labels, np.sqrt(np.diagonal(fit.covariance)), strict=True))
-    estimates: dict[str, float] = {}
-    for name, e in fit.parameters.items():
-        values = np.atleast_1d(e.value)
-        for k, value in enumerate(values):
-            estimates[f"{name}[{channels[k]}]" if e.value.ndim else name] = float(value)
     rows: list[dict[str, Any]] = []
     for label in robust.labels:
-        u, y, plain = robust.standard_uncertainty[label], estimates[label], float(own[label])
+        u, y, plain = robust.standard_uncertainty[label], fitted.estimates[label], float(own[label])
         half = robust.coverage_factor * u
         text = rounded(y, u)
         ends = [at_place_of(y + side * half, u) if math.isfinite(u) else "—" for side in (-1.0, 1.0)]

@@ -50,8 +50,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     lap("load")
     start_numerics(screen)
     from fitter.cli.verbs.fit import fit_all
-    from fitter.posterior import predictive, robust, sample
-    from fitter.report import build
+    from fitter.posterior import sample
+    from fitter.report import complete
 
     lap("start the numerics")
     specs = [FitSpec(model=ModelSpec(family=family)) for family in FAMILIES]
@@ -71,9 +71,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     screen.note(f"posterior of {chosen.spec.model.name}: {posterior.status.replace('_', ' ')}")
     lap("sample the posterior")
     others = [result for result in results if result is not chosen]
-    without = robust(opened.table, chosen)
-    bands = predictive(opened.table, chosen, without)
-    build(opened.table, chosen, posterior, others=others, without_scans=without, bands=bands).save(out)
+    complete(opened.table, chosen, posterior, others=others).save(out)
     lap("write the report")
     page = (out / "report.html").resolve()
     document: dict[str, Any] = {

@@ -37,8 +37,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     out = output_folder(given.out)
     start_numerics(screen)
-    from fitter.posterior import load_posterior, predictive, robust
-    from fitter.report import build
+    from fitter.posterior import load_posterior
+    from fitter.report import complete
 
     found = [(path, result) for path in given.result for result in load_results(path)]
     results = [result for _, result in found]
@@ -62,9 +62,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     path = next(path for path, result in found if result is chosen)
     opened = reading.table_of(chosen.table, given.table, reading.reading_options(given), result=path)
     others = [result for result in results if result is not chosen]
-    without = robust(opened.table, chosen)
-    bands = predictive(opened.table, chosen, without, chosen.spec.seed)
-    build(opened.table, chosen, posterior, others=others, without_scans=without, bands=bands).save(out)
+    complete(opened.table, chosen, posterior, others=others).save(out)
     page, record = out / "report.html", out / "report.json"
     document = {
         "kind": "brdf-fitter/report-written", "model": chosen.spec.model.name, "html": str(page),
