@@ -14,12 +14,15 @@ _MANY = 1 << 20
 _THREADS = 4
 
 
-def in_parts(work: Callable[[slice], None], count: int) -> None:
+def in_parts(work: Callable[[slice], None], count: int, rows: int | None = None) -> None:
     """Call ``work`` with slices that cover ``range(count)``, in any order, from several threads where many.
+
+    rows : of a slice; default ``ROWS``.
 
     ``work`` writes what it computes into arrays of its caller, at its slice. What it raises is raised here.
     """
-    slices = [slice(start, min(start + ROWS, count)) for start in range(0, count, ROWS)]
+    rows = rows or ROWS
+    slices = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
     threads = min(os.cpu_count() or 1, _THREADS)
     if count < _MANY or threads == 1:
         for part in slices:

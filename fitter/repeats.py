@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,12 @@ from fitter.parts import in_parts
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 KeyArray = NDArray[np.uint64]
+_Key = TypeVar("_Key", np.uint32, np.uint64)
 
 #: Fewer numbers than this one core sorts as fast as several.
 _MANY = 1 << 20
+#: Halves are looked up by so many values of their lowest bits.
+_MARKS = 1 << 20
 
 #: Components are told apart at this step: gonioreflectometers repeat to about 1e-4 rad.
 STEP = 1e-6
@@ -48,16 +52,30 @@ def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
 
 
 def _several(mixed: KeyArray) -> KeyArray:
-    """The numbers that occur more than once, in order. They are sorted by their highest bits' value, so that
-    cores share the work."""
+    """The numbers that occur more than once, in order.
+
+    Of many numbers only the upper halves are sorted, by the highest bits' value, so that cores share the
+    work; the few numbers that have such a half in common, or may, are sorted whole.
+    """
     if len(mixed) < _MANY:
         return _doubled(np.sort(mixed))
-    highest = (mixed >> np.uint64(62)).astype(np.uint8)
+    half = (mixed >> np.uint64(32)).astype(np.uint32)
+    highest = (half >> np.uint32(30)).astype(np.uint8)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return np.concatenate(list(pool.map(lambda k: _doubled(np.sort(mixed[highest == k])), range(4))))
+        parts = list(pool.map(lambda k: _doubled(np.sort(half[highest == k])), range(4)))
+    low = np.uint32(_MARKS - 1)
+    marked = np.zeros(_MARKS, bool)
+    marked[np.concatenate(parts) & low] = True
+    common = np.empty(len(half), bool)
+
+    def look(part: slice) -> None:
+        common[part] = marked[half[part] & low]
+
+    in_parts(look, len(half))
+    return _doubled(np.sort(mixed[common]))
 
 
-def _doubled(ordered: KeyArray) -> KeyArray:
+def _doubled(ordered: NDArray[_Key]) -> NDArray[_Key]:
     return ordered[1:][ordered[1:] == ordered[:-1]]
 
 

@@ -8,6 +8,7 @@ another width, is left to the careful reader, which knows more words for a missi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from fitter.formats.source import Source
 from fitter.formats.text import MISSING, Rows
+from fitter.parts import in_parts
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +28,12 @@ SMALLEST = 1 << 21
 SEGMENT = 1 << 24
 #: Bytes that are looked through at a time: they stay in the cache.
 _CHECKED = 1 << 18
-_NEWLINE = ord("\n")
+#: A line is rarely longer: where a part of the text ends is looked for in its last bytes.
+_LINE = 1 << 12
+_NEWLINE, _RETURN, _TAB, _SPACE = b"\n\r\t "
+#: A quote, a comment, or a "nan(...)" that only pyarrow takes for a number, and where such marks stand.
+_MARKS = np.frombuffer(b'"#(', np.uint8)
+_LOWEST, _MARK_SPAN = _MARKS.min(), np.ptp(_MARKS)
 
 #: Words for a missing value as people write them; "nan" itself is a number to pyarrow.
 _MISSING = sorted({form(word) for word in MISSING - {"nan"} for form in (str.lower, str.upper, str.title)})
@@ -83,25 +90,35 @@ class PlainRows:
         return self.careful()
 
     def _parsed(self, use: Sequence[int], kind: Any) -> Iterator[Any]:
-        """An Arrow table of each segment's columns ``use``; None, and then nothing, where it can't be one."""
+        """An Arrow table of each segment's columns ``use``; None where it can't be one."""
         import pyarrow
         from pyarrow import csv
 
         names = [str(k) for k in range(len(self.names))]
         wanted = [str(k) for k in use]
         read = csv.ReadOptions(column_names=names)
-        parse = csv.ParseOptions(delimiter=self.delimiter or " ", quote_char=False)
+        layout = csv.ParseOptions(delimiter=self.delimiter or " ", quote_char=False)
         convert = csv.ConvertOptions(
             include_columns=wanted, column_types=dict.fromkeys(wanted, kind), null_values=_MISSING,
             strings_can_be_null=False, check_utf8=False,
         )  # fmt: skip
-        for segment in _segments(self.source, self.start, self.segment):
-            text = segment if self.delimiter else _squeezed(segment)
+
+        def parse(segment: memoryview) -> Any:
+            text = segment if self.delimiter else _squeezed(bytes(segment))
             try:
-                yield csv.read_csv(pyarrow.BufferReader(text), read, parse, convert)
+                return csv.read_csv(pyarrow.BufferReader(text), read, layout, convert)
             except pyarrow.ArrowInvalid:
-                yield None
-                return
+                return None
+
+        # The next segment is parsed while the caller works on one.
+        with ThreadPoolExecutor(1) as pool:
+            ahead: Future[Any] | None = None
+            for segment in _segments(self.source, self.start, self.segment):
+                one, ahead = ahead, pool.submit(parse, segment)
+                if one is not None:
+                    yield one.result()
+            if ahead is not None:
+                yield ahead.result()
 
 
 def plain_rows(
@@ -109,36 +126,55 @@ def plain_rows(
     careful: Callable[[], Rows], segment: int = SEGMENT,
 ) -> PlainRows | None:  # fmt: skip
     """The rows from byte ``start``, where row ``row`` begins, to the end; None where the text isn't plain."""
-    count = 0
-    for part in _segments(source, start, min(segment, _CHECKED)):
-        # Thrice as fast as part.count().
-        lines = int(np.count_nonzero(np.frombuffer(part, np.uint8) == _NEWLINE))
-        # A NUL, a quote, a comment, or a "nan(...)" that only pyarrow takes for a number.
-        plain = part.isascii() and not any(mark in part for mark in (b"\0", b'"', b"#", b"("))
-        if plain and b"\r" in part:
-            plain = part.count(b"\r") == part.count(b"\r\n")
-        if plain and delimiter is None:
-            # Form feeds and the like are white space, but not to pyarrow.
-            white = lines + part.count(b"\r") + part.count(b"\t")
-            plain = int(np.count_nonzero(np.frombuffer(part, np.uint8) < 32)) == white
-        if not plain:
-            return None
-        count += lines + (not part.endswith(b"\n"))
+    octets = np.frombuffer(source.buffer, np.uint8)[start:]
+    ends = _line_ends(octets, min(segment, _CHECKED), white=delimiter is None)
+    if ends is None:
+        return None
     # Blank lines are counted here and not by pyarrow: where there are any, the counts will not agree.
+    count = ends + int(len(octets) > 0 and octets[-1] != _NEWLINE)
     return PlainRows(source, start, range(row, row + count), delimiter, names, careful, segment)
 
 
-def _segments(source: Source, start: int, size: int) -> Iterator[bytes]:
+def _line_ends(octets: NDArray[np.uint8], size: int, *, white: bool) -> int | None:
+    """How many lines end in a plain text, looked through ``size`` bytes at a time; None where it isn't plain.
+
+    white : whether white space separates the words.
+    """
+    ends = np.zeros(-(-len(octets) // size), np.int64)
+    plain = np.ones(len(ends), bool)
+
+    def look(where: slice) -> None:
+        part, k = octets[where], where.start // size
+        ends[k] = np.count_nonzero(part == _NEWLINE)
+        fine = part.max() < 128 and part.min() > 0
+        if fine and (part - _LOWEST <= _MARK_SPAN).any():
+            fine = not np.isin(part, _MARKS).any()
+        # Nearly always lines' ends are all that there is below a space.
+        if fine and (others := np.count_nonzero(part < _SPACE) - ends[k]):
+            returns = where.start + np.flatnonzero(part == _RETURN)
+            fine = bool((octets[np.minimum(returns + 1, len(octets) - 1)] == _NEWLINE).all())
+            # Form feeds and the like are white space, but not to pyarrow.
+            fine &= not white or others == len(returns) + np.count_nonzero(part == _TAB)
+        plain[k] = fine
+
+    in_parts(look, len(octets), size)
+    return int(ends.sum()) if plain.all() else None
+
+
+def _segments(source: Source, start: int, size: int) -> Iterator[memoryview]:
     """The bytes from ``start``, in parts that end with a line's end (but for the last)."""
     buffer = source.buffer
     while start < len(buffer):
-        part = bytes(buffer[start : start + size])
-        if start + size < len(buffer):
-            end = part.rfind(b"\n") + 1
-            # A line longer than a part is no line of a table: what is left is taken whole.
-            part = part[:end] if end else bytes(buffer[start:])
-        yield part
-        start += len(part)
+        stop = min(start + size, len(buffer))
+        if stop < len(buffer):
+            for first in (max(start, stop - _LINE), start):
+                if end := bytes(buffer[first:stop]).rfind(b"\n") + 1:
+                    stop = first + end
+                    break
+            else:  # a line longer than a part is no line of a table: what is left is taken whole
+                stop = len(buffer)
+        yield buffer[start:stop]
+        start = stop
 
 
 def _squeezed(text: bytes) -> bytes:

@@ -25,6 +25,7 @@ Fills = Literal["mask", "keep", "floors"]
 #: Numbers that programs write for "no data", in the quantity of the file. A larger size is no reflectance.
 _NO_DATA = (-1.0, -9.0, -99.0, -999.0, -9999.0, -99999.0, -32768.0, 999.0, 9999.0, 99999.0, 999999.0)
 _IMPOSSIBLE = 1e10
+_NOTHING = max(x for x in _NO_DATA if x < 0), min(x for x in _NO_DATA if x > 0)
 #: Such a number is one if it occurs so often and everything else is so many times smaller.
 _FEWEST, _APART = 3, 10.0
 #: Zeros of one incidence, and measured samples beside them, from which on a cut is told from chance.
@@ -154,6 +155,9 @@ def _sentinels(value: FloatArray, usable: BoolArray, notes: list[str]) -> BoolAr
     rows = np.zeros(len(value), bool)
     told: dict[float, BoolArray] = {}
     for column in value.T:
+        # What lies between them needs no closer look.
+        if _NOTHING[0] < column.min() and column.max() < _NOTHING[1]:
+            continue
         left = usable & np.isfinite(column)
         for sign in (-1.0, 1.0):
             # Damaged bytes may be a NaN that signals when it is multiplied.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.formats.source import Source
 from fitter.grid import GRID_AXES, Grid
+from fitter.parts import in_parts
 
 FloatArray = NDArray[np.float64]
 
@@ -298,6 +299,11 @@ def _largest(angle: FloatArray) -> float:
 
 def _snap(w: FloatArray) -> FloatArray:
     """Directions within ``HORIZON`` of the horizon set exactly on it, so that 90 deg is never 'above'."""
-    z = w[..., 2]
-    z[np.abs(z) < HORIZON] = 0.0
+    z = w[..., 2].reshape(-1)  # a view: components of a direction stand side by side
+
+    def snap(part: slice) -> None:
+        near = np.flatnonzero(np.abs(z[part]) < HORIZON)
+        z[part.start + near] = 0.0
+
+    in_parts(snap, len(z))
     return w
