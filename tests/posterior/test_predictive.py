@@ -7,7 +7,8 @@ import pytest
 
 import fitter
 from fitter import Table, models
-from fitter.posterior import predictive, robust
+from fitter.errors import SpecError
+from fitter.posterior import predictive, process, robust
 from fitter.posterior.predictive import slopes
 from tests.posterior.test_jackknife import scans
 
@@ -40,7 +41,9 @@ def test_bands_hold_what_they_say_and_score_better_than_one_number_for_the_misfi
         fit = fitter.fit(part, "ward")
         found = predictive(part, fit, robust(part, fit), seed=3)
         y = table.value[~used]
-        lower, upper = found.predict(table.wi[~used], table.wo[~used])
+        lower, upper = found.predict(
+            table.wi[~used], table.wo[~used], new="directions" if held_out == "random" else "scans"
+        )
         held = (y >= lower) & (y <= upper)
         inside.append(held.mean())
         bright.append(held[y >= np.quantile(y, 0.9)].mean())
@@ -68,6 +71,49 @@ def test_the_parameters_are_part_of_the_band():
     # Where there are measurements they know better than the parameters' own uncertainty.
     lower, upper = found.predict(wi, wo)
     assert np.median((upper - lower) / exact) < 1e-4
+
+
+@pytest.mark.parametrize("by_scan", [False, True])
+def test_what_is_left_out_is_predicted_as_if_it_had_not_been_there(by_scan: bool):
+    """The short form against processes conditioned on the rest, one after the other."""
+    rng = np.random.default_rng(7)
+    n = 40
+    scan = np.repeat(np.arange(5), 8)
+    at, f, y, moved = rng.random((n, 4)), rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, n), rng.random((n, 2))
+    scale = process.Scale(0.3, 0.05)
+    z, nearby = scale.scaled(y, f), process.Nearby(at, np.zeros(n), 0)
+    distance = np.linalg.norm(at[:, None] - at[None], axis=2)
+    whole = process._conditioned(scale, nearby, z, f, at, moved, distance, 0.5, 0.8)
+    off, deviation = whole.misfits(scan if by_scan else None)
+    root3 = np.sqrt(3) * distance / 0.5
+    field = 0.8 * (1 + root3) * np.exp(-root3) + (0.2 + process.JITTER) * np.eye(n)
+    slopes = moved / scale.size(f)[:, None]
+    covariance = whole.deviation**2 * field + slopes @ slopes.T
+    for out in np.arange(5)[:, None] == scan if by_scan else np.eye(n, dtype=bool):
+        cross = covariance[np.ix_(out, ~out)]
+        gain = cross @ np.linalg.inv(covariance[np.ix_(~out, ~out)])
+        left = covariance[np.ix_(out, out)] - gain @ cross.T
+        np.testing.assert_allclose(off[out], z[out] - gain @ z[~out], rtol=1e-7)
+        np.testing.assert_allclose(deviation[out], np.sqrt(np.diagonal(left)), rtol=1e-7)
+
+
+def test_misses_set_the_width_where_they_are():
+    """The share of like samples that a band must hold, as an exact quantile of theirs."""
+    f = np.linspace(0.0, 1.0, 400)
+    miss = np.where(f < 0.5, 1.0, 3.0) + 1e-3 * np.arange(400)
+    misses = process.Misses(f, miss)
+    low, high = misses.reach(np.array([0.1, 0.9]), 0.95)
+    # The 39th of 40 neighbours: 38.95 = 0.95 x 41 rounded up.
+    assert low == np.sort(miss[20:60])[38]
+    assert high > 3.3
+
+
+def test_scans_as_yet_unmeasured_need_several_measured_ones():
+    wi, wo, _ = scans(np.deg2rad([20.0]))
+    table = Table(wi=wi, wo=wo, value=np.full((len(wi), 1), 0.1))
+    found = predictive(table, fitter.fit(table, "lambert"))
+    with pytest.raises(SpecError, match="too few scans"):
+        found.predict(wi[:3], wo[:3], new="scans")
 
 
 def test_the_same_seed_gives_the_same_band():
