@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.errors import TableError
 from fitter.formats.adaptive import Adaptive
-from fitter.formats.warp import lookup
+from fitter.formats.warp import Corner, looked_up, lookup
 from fitter.sampling.axes import Axis
 from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
 from fitter.sampling.half_difference import Span
 from fitter.sampling.interpolant import in_chunks, pairs
-from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BoxMaximum
 from fitter.table import Quantity
 
@@ -156,8 +156,10 @@ class AdaptiveField:
         self._warp = adaptive.warp.blended(share)
         raw = sum(w * adaptive.data[k].astype(np.float64) for k, w in share)
         clamped = sum(w * np.maximum(adaptive.data[k].astype(np.float64), 0.0) for k, w in share)
-        self._channels = np.moveaxis(np.asarray(clamped), 0, -1)
-        self._clamped, self._raw = self._channels @ weights, np.moveaxis(np.asarray(raw), 0, -1) @ weights
+        self._channels = np.asarray(clamped)
+        self._clamped, self._raw = (
+            np.tensordot(weights, some, 1) for some in (self._channels, np.asarray(raw))
+        )
         self.clamps = bool(np.any(self._clamped != self._raw))
         self._ndf = np.asarray(adaptive.ndf, np.float64) if adaptive.jacobian else np.full((2, 2), 4.0)
         at = np.array([np.sqrt(theta_i * (2 / np.pi))]), np.array([np.mod(phi_i / (2 * np.pi) + 0.5, 1.0)])
@@ -178,29 +180,60 @@ class AdaptiveField:
         u0, u1, v0, v1 = cells.T
         return np.pi * u1 * (u1 - u0) >= np.sin(0.5 * np.pi * u1**2) * 2 * np.pi * (v1 - v0)
 
-    def place(
-        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        u0, u1, v0, v1 = cells
-        return np.minimum(u0 + u * (u1 - u0), u1), np.minimum(v0 + v * (v1 - v0), v1)
+    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+        u0, u1, v0, v1 = cells.T
+        return u0.copy(), u1 - u0, v0.copy(), v1 - v0
+
+    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
+        u0, width, v0, height = columns
+        u *= width
+        u += u0
+        v *= height
+        v += v0
+        cos_m, sin_m = directions.cosine_and_sine(u * u * (np.pi / 2))
+        cosine, sine = directions.cosine_and_sine((2 * np.pi) * v + (self._turn - np.pi))
+        x, y = sin_m * cosine, sin_m * sine
+        along = x * self._wi[0] + y * self._wi[1] + cos_m * self._wi[2]
+        twice = along + along
+        z = twice * cos_m - self._wi[2]
+        place = self._placed(u, v)
+        value = self._factored(self._clamped, place)
+        # Of f+ cos(theta_o): per unit of solid angle, and per unit of the chart's measure.
+        if self._quantity == "ccbrdf":
+            density = value / np.where(z > 0, z, np.inf)
+        else:
+            density, value = value, value * z
+        value *= (8 * np.pi**2) * along * u * sin_m
+        value[(z <= 0) | (along <= 0)] = np.nan
+        wo = (twice * x - self._wi[0], twice * y - self._wi[1], z)
+        wo = tuple(c if s > 0 else -c for c, s in zip(wo, self._sign, strict=True))
+        return Point(value, wo, density, self._packed(place, z))
 
     def _half(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a * a * (np.pi / 2), (2 * b - 1) * np.pi + self._turn)
 
     def _square(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        zero = np.zeros(len(a), np.intp)
-        return self._warp.inverse([(zero, np.ones(len(a)))], a, b)
+        return self._warp.inverse_of_one(Corner.of(self._warp.shape, a, b))
+
+    def _placed(self, a: FloatArray, b: FloatArray) -> tuple[Corner, Corner]:
+        """Where points lie on the images of the data, and of D."""
+        return Corner.of(self._clamped.shape, *self._square(a, b)), Corner.of(self._ndf.shape, a, b)
+
+    def _factored(self, data: FloatArray, place: tuple[Corner, Corner]) -> FloatArray:
+        """(M,) what the file's numbers are of: f_r, pi f_r as f_r, or f_r cos(theta_o)."""
+        value = looked_up(data, place[0])
+        value *= looked_up(self._ndf, place[1])
+        value *= 1 / (4 * self._sigma * (np.pi if self._quantity == "reflectance_factor" else 1.0))
+        return value
 
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
         m = self._half(a, b)
         along = m @ self._wi
         height = 2 * along * m[:, 2] - self._wi[2]
-        value = lookup(self._clamped if clamped else self._raw, *self._square(a, b))
-        value *= (
-            lookup(self._ndf, a, b) * along * (2 * np.pi**2 / self._sigma) * a * np.sin(a * a * (np.pi / 2))
-        )
+        value = self._factored(self._clamped if clamped else self._raw, self._placed(a, b))
+        value *= along * (8 * np.pi**2) * a * np.sin(a * a * (np.pi / 2))
         if self._quantity != "ccbrdf":
-            value *= height / (1.0 if self._quantity == "brdf" else np.pi)
+            value *= height
         value[~((height > 0) & (along > 0))] = np.nan
         return value
 
@@ -246,17 +279,16 @@ class AdaptiveField:
         theta, phi = directions.spherical_from_vector(wo * self._sign + self._wi)
         return np.sqrt(theta * (2 / np.pi)), np.mod((phi - self._turn) / (2 * np.pi) + 0.5, 1.0)
 
-    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        size = self.solid_angle(a, b) * self.directions(a, b)[:, 2]
-        return field / np.where(size > 0, size, np.inf)
+    def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
+        return self._packed(self._placed(a, b), self.directions(a, b)[:, 2])
 
-    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        s = self._square(a, b)
-        found = np.stack([lookup(self._channels[..., c], *s) for c in range(self._channels.shape[2])], axis=1)
-        height = self.directions(a, b)[:, 2]
-        factor = lookup(self._ndf, a, b) / (4 * self._sigma)
+    def _packed(self, place: tuple[Corner, Corner], height: FloatArray) -> tuple[NDArray[Any], ...]:
+        return (*(column for at in place for column in (at.i, at.j, at.x, at.y)), height)
+
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
+        at, height = (Corner(*place[:4]), Corner(*place[4:8])), place[8]
+        found = np.stack([self._factored(channel, at) for channel in self._channels], axis=1)
         if self._quantity == "ccbrdf":
-            factor = factor / np.where(height > 0, height, np.inf)
-        elif self._quantity == "reflectance_factor":
-            factor = factor / np.pi
-        return found * np.where(height > 0, factor, np.nan)[:, None]
+            found /= np.where(height > 0, height, np.inf)[:, None]
+        found[height <= 0] = np.nan
+        return found

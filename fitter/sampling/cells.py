@@ -24,7 +24,7 @@ _FINAL = 4
 _ROUNDS = 60
 # How often cells on the rim of the measured domain are cut for the integral.
 _RIM = 4
-_CHUNK = 1 << 18
+_CHUNK = 1 << 14
 
 
 class CellEnvelope:
@@ -68,7 +68,8 @@ class CellEnvelope:
             clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
         disk, sphere = (float(self._quadrature(fine, _STEER, of=of).sum()) for of in ("disk", "sphere"))
         keep = majorant > 0
-        self._sides = tuple(np.ascontiguousarray(side) for side in rectangles[keep].T)
+        self._sides = tuple(rectangles[keep].T)
+        self._columns = tuple(np.ascontiguousarray(column) for column in field.columns(rectangles[keep]))
         self._majorant = majorant[keep]
         envelope = self._majorant * field.measures(rectangles[keep])
         self._alias = AliasTable(envelope)
@@ -95,22 +96,21 @@ class CellEnvelope:
         """``m`` candidates in the sample's frame."""
         cell = self._alias.choose(rng.random(m))
         u, v, chance = rng.random((3, m))
-        a, b = self._field.place(tuple(side.take(cell) for side in self._sides), u, v)
-        found = self._field.field(a, b)
+        found = self._field.draw(tuple(column.take(cell) for column in self._columns), u, v)
         majorant = self._majorant.take(cell)
-        if np.any(found > majorant):
+        if np.any(found.field > majorant):
             raise violated()
         chance *= majorant
-        accepted = chance < found  # False where the field is NaN: not measured there
-        return Candidates(self._field.directions(a, b), accepted, self._field.density(found, a, b), (a, b))
+        accepted = chance < found.field  # False where the field is NaN: not measured there
+        return Candidates(found.wo, accepted, found.density, found.place)
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""
-        return np.nan_to_num(self._field.channels(*place), nan=0.0)
+        return np.nan_to_num(self._field.channels(place), nan=0.0)
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""
-        found = self._field.channels(*self._field.coordinates(wo))
+        found = self._field.channels(self._field.place(*self._field.coordinates(wo)))
         return np.where((wo[:, 2] > 0)[:, None], np.nan_to_num(found, nan=0.0), 0.0)
 
     def attack(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:

@@ -47,13 +47,14 @@ class SliceInfo:
 
 @dataclass(frozen=True)
 class Candidates:
-    """wo : (m, 3); accepted : (m,); density : (m,) weighted f+ in 1/sr, defined where accepted.
+    """wo : components of directions, each (m,); of pairs, of wi and then of wo. accepted : (m,), None where
+    all are. density : (m,) weighted f+ in 1/sr, defined where accepted.
 
     place : where the candidates lie, in the envelope's own terms, for :meth:`Envelope.channels`.
     """
 
-    wo: FloatArray
-    accepted: BoolArray
+    wo: tuple[FloatArray, ...]
+    accepted: BoolArray | None
     density: FloatArray
     place: tuple[NDArray[Any], ...]
 
@@ -88,7 +89,7 @@ class Drawable(Protocol):
 
 
 class JointEnvelope(Drawable, Protocol):
-    """Candidates are pairs: ``wo`` of :class:`Candidates` is (m, 6), wi then wo."""
+    """Candidates are pairs: ``wo`` of :class:`Candidates` has six components, wi then wo."""
 
     info: JointInfo
 

@@ -33,7 +33,7 @@ IndexArray = NDArray[np.intp]
 # A corner with less weight than this is not touched: a query on a node must not see its neighbours.
 _NO_WEIGHT = 1e-9
 _PLANE = 1e-3  # sine of the azimuth up to which a direction is in the plane of incidence
-_CHUNK = 1 << 18
+_CHUNK = 1 << 16
 
 
 class GridInterpolant:

@@ -93,24 +93,20 @@ class TriangleEnvelope:
         else:
             second, third = high - low, 1.0 - high
         x, y, density = (_mixed(column, item, second, third) for column in self._point)
-        if self._exact:
-            accepted = np.ones(m, bool)
-        else:
+        accepted = None
+        if not self._exact:
             bound = self._bound.take(item)
             accepted = u * bound < density
             if np.any(density > bound):
                 raise violated()
         # Rounding may put a draw from a sliver at the rim outside the disk, by a part in 1e16.
-        z2 = np.maximum((1.0 - x) * (1.0 + x) - y * y, 0.0)
+        z2 = (1.0 - x) * (1.0 + x)
+        z2 -= y * y
+        z = np.sqrt(np.maximum(z2, 0.0, out=z2), out=z2)
         turn = self._slice.rotation
-        wo = np.empty((m, 3))
-        if turn == 0:
-            wo[:, 0], wo[:, 1] = x, y
-        else:
-            wo[:, 0] = np.cos(turn) * x - np.sin(turn) * y
-            wo[:, 1] = np.sin(turn) * x + np.cos(turn) * y
-        np.sqrt(z2, out=wo[:, 2])
-        return Candidates(wo, accepted, density, (item, second, third))
+        if turn != 0:
+            x, y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+        return Candidates((x, y, z), accepted, density, (item, second, third))
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""
