@@ -132,7 +132,12 @@ class AdaptiveJoint:
         box = [f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -SLACK), (np.max, SLACK))]
         most, ndf, sigma = self._most
         value = np.max(
-            [np.sum([weight * most(*box, node) for node, weight in blend], axis=0) for blend in blends],
+            [
+                np.sum(
+                    [weight * most(box[0], box[1], box[2], box[3], node) for node, weight in blend], axis=0
+                )
+                for blend in blends
+            ],
             axis=0,
         )
         along, lowest = self._along(boxes)

@@ -1,5 +1,5 @@
-"""Largest values over ranges of a table in constant time (sparse tables: maxima over 2^k neighbours), and over
-rectangles of bilinear images."""
+"""Largest values over ranges of a table in constant time (sparse tables: maxima over 2^k neighbours), and
+over rectangles of bilinear images."""
 
 from __future__ import annotations
 
