@@ -73,9 +73,7 @@ class CheckDocument(BaseModel):
 class SampleRequest(_Request):
     """Directions to draw for one incidence."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}}
-    )
+    model_config = ConfigDict(json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}})
 
     wi: Vector
     n: Annotated[int, Field(ge=1, le=50_000_000)]
@@ -85,9 +83,7 @@ class SampleRequest(_Request):
 class TableSampleRequest(_Request):
     """Directions to draw from a raw table. ``weights`` of the channels default to equal."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"wi": [0.5, 0.0, 0.8660254], "n": 4, "seed": 1}}
-    )
+    model_config = ConfigDict(json_schema_extra={"example": {"wi": [0.5, 0.0, 0.8660254], "n": 4, "seed": 1}})
 
     wi: Vector | Annotated[list[Vector], Field(min_length=1, max_length=1000)] | None = Field(
         None,
@@ -106,6 +102,21 @@ class TableSampleRequest(_Request):
     allow_extrapolated: bool = Field(False, description="draw for incidences that were not measured, too")
 
 
+class SliceInfoDocument(BaseModel):
+    """One incidence of a raw table, as its sampler knows it."""
+
+    integral: float = Field(description="of the interpolant times cos(theta_o), negative values taken as 0")
+    integral_error: float = Field(description="its relative error, estimated; 0 where it is exact")
+    energy_error: float = Field(description="what interpolation alone makes of it, relative, estimated")
+    clamped_share: float = Field(description="share of the integral that is there because of that")
+    coverage: float = Field(description="share of the projected hemisphere that was measured")
+    blind: float = Field(description="share of the hemisphere's solid angle that is never drawn")
+    cells: int
+    acceptance: float = Field(description="expected share of candidates that is accepted")
+    extrapolated: bool
+    method: Literal["rejection", "inversion"]
+
+
 class SamplesDocument(BaseModel):
     """Draws, one entry each; ``weight`` is f_r cos(theta_o) / pdf per channel."""
 
@@ -119,6 +130,9 @@ class SamplesDocument(BaseModel):
     evaluations: int | None = Field(description="candidates tried; null where a sampler tries none")
     seed: int | None
     wi: list[Vector] | None = Field(description="the incidence of each draw; null where there is one for all")
+    slices: list[SliceInfoDocument] | None = Field(
+        description="each incidence of a raw table; null for models, for pairs, and of more than 16"
+    )
 
 
 class EvaluationDocument(BaseModel):
@@ -169,7 +183,7 @@ class FitRequest(FitSpec):
         allow_inf_nan=False,
         json_schema_extra={
             "example": {"table": _ID, "models": ["ward", "lafortune:2"], "metric": "cosine", "seed": 0}
-        }
+        },
     )
 
     table: str = Field(max_length=64, description="id of the table")

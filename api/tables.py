@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,14 +24,11 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 
-def parse(path: Path, options: dict[str, Any]) -> fitter.Table:
-    """The table in a blob. Raises TableError or SpecError as :func:`fitter.load` does.
-
-    The bytes are given, not the path: a blob's name on the disk means nothing to who uploaded it.
-    """
+def parse(data: bytes, options: dict[str, Any]) -> fitter.Table:
+    """The table in uploaded bytes. Raises TableError or SpecError as :func:`fitter.load` does."""
     chosen = read_options(options)
     try:
-        return fitter.load(path.read_bytes(), **chosen.to_dict())
+        return fitter.load(data, **chosen.to_dict())
     except TableError as error:
         error.file = error.file or chosen.name or "the upload"
         raise
@@ -56,8 +52,8 @@ class Opened:
         method: Method | None = None,
         max_evaluations: int | None = None,
         allow_extrapolated: bool = False,
-    ) -> Samples:
-        """Draws from the table, of pairs where ``wi`` is None.
+    ) -> tuple[Samples, list[dict[str, Any]] | None]:
+        """Draws from the table, of pairs where ``wi`` is None, and what is known of each incidence.
 
         The lock is there because a sampler keeps envelopes from call to call. A request must end: an
         acceptance below a twentieth is an error unless more candidates were asked for.
@@ -65,10 +61,11 @@ class Opened:
         draws = n * (len(wi) if wi is not None and wi.ndim == 2 else 1)
         most = 20 * draws + 1_000_000 if max_evaluations is None else max_evaluations
 
-        def drawn(sampler: TableSampler) -> Samples:
+        def drawn(sampler: TableSampler) -> tuple[Samples, list[dict[str, Any]] | None]:
             if wi is None:
-                return sampler.sample_pairs(n, seed, max_evaluations=most)
-            return sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=most)
+                return sampler.sample_pairs(n, seed, max_evaluations=most), None
+            found = sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=most)
+            return found, sampler.slices(wi, allow_extrapolated=allow_extrapolated)
 
         if weights is not None or method is not None:
             return drawn(fitter.TableSampler(self.table, weights=weights, method=method))
@@ -94,7 +91,7 @@ class OpenTables:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        opened = Opened(parse(self._blobs.path(row.sha256), row.options))
+        opened = Opened(parse(self._blobs.read(row.sha256), row.options))
         with self._lock:
             # Two requests may have parsed at once: the first one's table, with its sampler, stays.
             opened = self._kept.setdefault(key, opened)

@@ -104,7 +104,8 @@ async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
 def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
     """Parse what came; only what is a table becomes a blob and a row."""
     sha256 = incoming.finish()
-    table = parse(incoming.path, options.to_dict())
+    table = parse(incoming.path.read_bytes(), options.to_dict())
+    incoming.pack()
     row = TableRow(
         id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
         sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
@@ -197,11 +198,11 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
     else:
         wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
     opened = here.tables.open(row)
-    drawn = opened.sample(
+    drawn, slices = opened.sample(
         wi, wanted.n, wanted.seed, weights=wanted.weights, method=wanted.method,
         max_evaluations=wanted.max_evaluations, allow_extrapolated=wanted.allow_extrapolated,
     )  # fmt: skip
-    return respond_samples(request, drawn, _channels(opened.table))
+    return respond_samples(request, drawn, _channels(opened.table), slices)
 
 
 @router.get("/{id}/check", response_model=schemas.CheckDocument, responses=problems(404, 422))

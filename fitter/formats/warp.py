@@ -8,7 +8,7 @@ piecewise quadratic and are inverted exactly (J. Dupuy, W. Jakob 2018, section 4
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -45,10 +45,22 @@ class Corner:
 
 def lookup(image: NDArray[np.floating], x: FloatArray, y: FloatArray) -> FloatArray:
     """The bilinear image (H, W) at points (M,)."""
-    at = Corner.of(image.shape, x, y)
-    low = (1 - at.x) * image[at.j, at.i] + at.x * image[at.j, at.i + 1]
-    high = (1 - at.x) * image[at.j + 1, at.i] + at.x * image[at.j + 1, at.i + 1]
-    return np.asarray((1 - at.y) * low + at.y * high, np.float64)
+    return looked_up(image, Corner.of(image.shape, x, y))
+
+
+def looked_up(image: NDArray[np.floating], at: Corner) -> FloatArray:
+    """The bilinear image (H, W) at points (M,)."""
+    width = image.shape[-1]
+    flat, index = image.reshape(-1), at.j * width + at.i
+    low = flat.take(index).astype(np.float64, copy=False)
+    low += at.x * (flat.take(index + 1) - low)
+    index += width
+    high = flat.take(index).astype(np.float64, copy=False)
+    high += at.x * (flat.take(index + 1) - high)
+    high -= low
+    high *= at.y
+    high += low
+    return high
 
 
 def lookup_blend(images: NDArray[np.floating], blend: Blend, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -93,19 +105,35 @@ class Warp:
 
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where in the uniform square the points (M,) come from, for densities blended as ``blend`` says."""
+
+        def read(values: FloatArray, index: IndexArray) -> FloatArray:
+            flat = values.reshape(len(values), -1)
+            total = np.zeros(len(index))
+            for node, weight in blend:
+                total += weight * flat[node, index]
+            return total
+
+        return self._inverse(read, Corner.of(self.shape, x, y))
+
+    def inverse_of_one(self, at: Corner) -> tuple[FloatArray, FloatArray]:
+        """:meth:`inverse` for the first density, of points (M,) on its image."""
+        return self._inverse(lambda values, index: values[0].reshape(-1).take(index), at)
+
+    def _inverse(
+        self, read: Callable[[FloatArray, IndexArray], FloatArray], at: Corner
+    ) -> tuple[FloatArray, FloatArray]:
         height, width = self.shape
-        at = Corner.of(self.shape, x, y)
 
         def part(j: IndexArray) -> tuple[FloatArray, FloatArray]:
             """The integral over a row up to x, and over the whole row."""
-            left, right = _mixed(self._density, blend, j, at.i), _mixed(self._density, blend, j, at.i + 1)
-            inside = (left + 0.5 * (right - left) * at.x) * at.x / (width - 1)
-            whole = np.full_like(at.i, width - 1)
-            return _mixed(self._along_x, blend, j, at.i) + inside, _mixed(self._along_x, blend, j, whole)
+            index = j * width + at.i
+            left, right = read(self._density, index), read(self._density, index + 1)
+            inside = (left + 0.5 * (right - left) * at.x) * at.x * (1 / (width - 1))
+            return read(self._along_x, index) + inside, read(self._along_x[..., -1], j)
 
         (low, low_row), (high, high_row) = part(at.j), part(at.j + 1)
-        below = (low_row + 0.5 * (high_row - low_row) * at.y) * at.y / (height - 1)
-        t = _mixed(self._along_y, blend, at.j) + below
+        below = (low_row + 0.5 * (high_row - low_row) * at.y) * at.y * (1 / (height - 1))
+        t = read(self._along_y, at.j) + below
         mix = _mix(low_row, high_row, at.y)
         row = (1 - mix) * low_row + mix * high_row
         # Rows without density have no conditional distribution: nothing is ever mapped there.
@@ -145,13 +173,6 @@ def _cumulated(values: FloatArray) -> FloatArray:
     """Integral of the piecewise linear function along the last axis from 0 up to each node."""
     steps = 0.5 * (values[..., 1:] + values[..., :-1]) / (values.shape[-1] - 1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1)
-
-
-def _mixed(values: FloatArray, blend: Blend, *index: IndexArray) -> FloatArray:
-    total = np.zeros(len(index[0]))
-    for node, weight in blend:
-        total += weight * values[(node, *index)]
-    return total
 
 
 def _mix(low: FloatArray, high: FloatArray, y: FloatArray) -> FloatArray:

@@ -13,23 +13,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
-from fitter.errors import TableError
 from fitter.formats.adaptive import Adaptive
-from fitter.formats.warp import lookup
-from fitter.sampling.axes import Axis
-from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
-from fitter.sampling.half_difference import Span
-from fitter.sampling.interpolant import in_chunks, pairs
-from fitter.sampling.majorants import ROUNDING
-from fitter.sampling.maxima import BoxMaximum
+from fitter.formats.warp import Corner, looked_up, lookup
+from fitter.sampling.cells import ChartSlice
+from fitter.sampling.curvature import gain_of_image
+from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
+from fitter.sampling.interpolant import Slice, in_chunks, pairs
+from fitter.sampling.majorants import ROUNDING, Point
+from fitter.sampling.maxima import BilinearMaximum
 from fitter.table import Quantity
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _CHUNK = 1 << 14
-# Rounding of places in the uniform square.
-_SLACK = 1e-9
+_KIND = "a table in an adaptive parameterisation"
+#: Rounding of places in the uniform square.
+SLACK = 1e-9
 # Columns of the cells to begin with; the rows are those of the warp.
 _COLUMNS = 32
 
@@ -70,67 +70,23 @@ class AdaptiveInterpolant:
         nodes = self.adaptive.theta_i
         return (theta < nodes[0] - 1e-6) | (theta > nodes[-1] + 1e-6)
 
-    def slice(self, wi: ArrayLike) -> AdaptiveSlice:
+    def slice(self, wi: ArrayLike) -> Slice:
         """The interpolant at the one incidence ``wi`` (3,)."""
         w = pairs(wi, wi)[0][:1]
-        return AdaptiveSlice(self, w[0], bool(self._outside(w)[0]) or bool(w[0, 2] <= 0))
+        return ChartSlice(
+            w[0], bool(self._outside(w)[0]) or bool(w[0, 2] <= 0), _KIND,
+            lambda part, weights: AdaptiveField(self, part, weights),
+        )  # fmt: skip
 
     def joint(
         self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
     ) -> JointEnvelope:
-        """Not offered: the slices of this parameterisation are no blends of those at measured incidences."""
-        raise TableError(
-            "incidences can't be drawn together with directions from a table in an adaptive parameterisation",
-            code="no-joint-draws", cause="its warp changes between incidences, without a known bound",
-            remedy="draw for incidences of your choice; or read the samples alone: fitter.Table(wi=table.wi, "
-            "wo=table.wo, value=table.value)",
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class AdaptiveSlice:
-    """One incidence ``wi`` (3,)."""
-
-    interpolant: AdaptiveInterpolant
-    wi: FloatArray
-    extrapolated: bool
-    preferred: Method = "rejection"
-
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
-        from fitter.sampling.cells import CellEnvelope
+        """What pairs (wi, wo) are drawn from."""
+        from fitter.sampling.joint_adaptive import AdaptiveJoint
 
         if method == "inversion":
-            raise no_inversion("a table in an adaptive parameterisation")
-        return CellEnvelope(AdaptiveField(self, weights), acceptance, cells)
-
-
-class BilinearMaximum:
-    """Largest values over rectangles of a bilinear image (H, W) on the unit square."""
-
-    def __init__(self, image: FloatArray) -> None:
-        self._image = image
-        self._x, self._y = (
-            Axis(name, np.linspace(0, 1, n), None) for name, n in zip("xy", image.shape[::-1], strict=True)
-        )
-        self._boxes = BoxMaximum(image)
-
-    def __call__(self, x0: FloatArray, x1: FloatArray, y0: FloatArray, y1: FloatArray) -> FloatArray:
-        """(K,). Within one cell of the image a bilinear function is largest at a corner of a rectangle; with
-        at most one line of nodes inside in each direction, where sides and lines cross; else the largest
-        node stands for it.
-        """
-        x, y = Span(self._x, x0, x1), Span(self._y, y0, y1)
-        most = self._boxes(y.first, y.last, x.first, x.last)
-        small = np.flatnonzero(x.few & y.few)
-        x, y = x.take(small), y.take(small)
-        within = np.full(len(small), -np.inf)
-        nodes = [[self._image[j, i] for i in x.nodes] for j in y.nodes]
-        for b in y.fractions:
-            row = [sum(w * nodes[j][i] for j, w in enumerate(b)) for i in range(3)]
-            for a in x.fractions:
-                within = np.maximum(within, sum(w * row[i] for i, w in enumerate(a)))
-        most[small] = within
-        return most
+            raise no_inversion(_KIND)
+        return AdaptiveJoint(self, weights, acceptance, cells)
 
 
 class AdaptiveField:
@@ -140,8 +96,7 @@ class AdaptiveField:
     u sin(theta_m) / sigma.
     """
 
-    def __init__(self, part: AdaptiveSlice, weights: FloatArray) -> None:
-        table = part.interpolant
+    def __init__(self, table: AdaptiveInterpolant, part: ChartSlice, weights: FloatArray) -> None:
         adaptive, self._quantity = table.adaptive, table.quantity
         self.extrapolated = part.extrapolated
         self._wi = part.wi
@@ -156,8 +111,10 @@ class AdaptiveField:
         self._warp = adaptive.warp.blended(share)
         raw = sum(w * adaptive.data[k].astype(np.float64) for k, w in share)
         clamped = sum(w * np.maximum(adaptive.data[k].astype(np.float64), 0.0) for k, w in share)
-        self._channels = np.moveaxis(np.asarray(clamped), 0, -1)
-        self._clamped, self._raw = self._channels @ weights, np.moveaxis(np.asarray(raw), 0, -1) @ weights
+        self._channels = np.asarray(clamped)
+        self._clamped, self._raw = (
+            np.tensordot(weights, some, 1) for some in (self._channels, np.asarray(raw))
+        )
         self.clamps = bool(np.any(self._clamped != self._raw))
         self._ndf = np.asarray(adaptive.ndf, np.float64) if adaptive.jacobian else np.full((2, 2), 4.0)
         at = np.array([np.sqrt(theta_i * (2 / np.pi))]), np.array([np.mod(phi_i / (2 * np.pi) + 0.5, 1.0)])
@@ -178,29 +135,60 @@ class AdaptiveField:
         u0, u1, v0, v1 = cells.T
         return np.pi * u1 * (u1 - u0) >= np.sin(0.5 * np.pi * u1**2) * 2 * np.pi * (v1 - v0)
 
-    def place(
-        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        u0, u1, v0, v1 = cells
-        return np.minimum(u0 + u * (u1 - u0), u1), np.minimum(v0 + v * (v1 - v0), v1)
+    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+        u0, u1, v0, v1 = cells.T
+        return u0.copy(), u1 - u0, v0.copy(), v1 - v0
+
+    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
+        u0, width, v0, height = columns
+        u *= width
+        u += u0
+        v *= height
+        v += v0
+        cos_m, sin_m = directions.cosine_and_sine(u * u * (np.pi / 2))
+        cosine, sine = directions.cosine_and_sine((2 * np.pi) * v + (self._turn - np.pi))
+        x, y = sin_m * cosine, sin_m * sine
+        along = x * self._wi[0] + y * self._wi[1] + cos_m * self._wi[2]
+        twice = along + along
+        z = twice * cos_m - self._wi[2]
+        place = self._placed(u, v)
+        value = self._factored(self._clamped, place)
+        # Of f+ cos(theta_o): per unit of solid angle, and per unit of the chart's measure.
+        if self._quantity == "ccbrdf":
+            density = value / np.where(z > 0, z, np.inf)
+        else:
+            density, value = value, value * z
+        value *= (8 * np.pi**2) * along * u * sin_m
+        value[(z <= 0) | (along <= 0)] = np.nan
+        wo = (twice * x - self._wi[0], twice * y - self._wi[1], z)
+        wo = tuple(c if s > 0 else -c for c, s in zip(wo, self._sign, strict=True))
+        return Point(value, wo, density, self._packed(place, z))
 
     def _half(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a * a * (np.pi / 2), (2 * b - 1) * np.pi + self._turn)
 
     def _square(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        zero = np.zeros(len(a), np.intp)
-        return self._warp.inverse([(zero, np.ones(len(a)))], a, b)
+        return self._warp.inverse_of_one(Corner.of(self._warp.shape, a, b))
+
+    def _placed(self, a: FloatArray, b: FloatArray) -> tuple[Corner, Corner]:
+        """Where points lie on the images of the data, and of D."""
+        return Corner.of(self._clamped.shape, *self._square(a, b)), Corner.of(self._ndf.shape, a, b)
+
+    def _factored(self, data: FloatArray, place: tuple[Corner, Corner]) -> FloatArray:
+        """(M,) what the file's numbers are of: f_r, pi f_r as f_r, or f_r cos(theta_o)."""
+        value = looked_up(data, place[0])
+        value *= looked_up(self._ndf, place[1])
+        value *= 1 / (4 * self._sigma * (np.pi if self._quantity == "reflectance_factor" else 1.0))
+        return value
 
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
         m = self._half(a, b)
         along = m @ self._wi
         height = 2 * along * m[:, 2] - self._wi[2]
-        value = lookup(self._clamped if clamped else self._raw, *self._square(a, b))
-        value *= (
-            lookup(self._ndf, a, b) * along * (2 * np.pi**2 / self._sigma) * a * np.sin(a * a * (np.pi / 2))
-        )
+        value = self._factored(self._clamped if clamped else self._raw, self._placed(a, b))
+        value *= along * (8 * np.pi**2) * a * np.sin(a * a * (np.pi / 2))
         if self._quantity != "ccbrdf":
-            value *= height / (1.0 if self._quantity == "brdf" else np.pi)
+            value *= height
         value[~((height > 0) & (along > 0))] = np.nan
         return value
 
@@ -221,17 +209,13 @@ class AdaptiveField:
         corners = [self._square(u, v) for u in (u0, u1) for v in (v0, v1)]
         s, t = (np.stack(column) for column in zip(*corners, strict=True))
         most, ndf = self._most
-        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -_SLACK), (np.max, _SLACK))))
-        theta0, theta1 = u0 * u0 * (np.pi / 2), u1 * u1 * (np.pi / 2)
-        theta, turn = 0.5 * (theta0 + theta1), 2 * np.pi * (v1 - v0)
-        centre = directions.vector_from_spherical(theta, (v0 + v1 - 1) * np.pi + self._turn)
-        across = np.sin(theta) * np.sin(theta1) * np.sin(0.25 * turn) ** 2
-        radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
-        angle = np.arctan2(np.linalg.norm(np.cross(centre, self._wi), axis=1), centre @ self._wi)
-        along = np.maximum(np.cos(np.maximum(angle - radius - 1e-12, 0.0)), 0.0)
-        value *= ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(theta1)
+        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -SLACK), (np.max, SLACK))))
+        along = nearest_cosine(cells, self._turn, self._wi[None], 0.0)
+        value *= (
+            ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(u1 * u1 * (np.pi / 2))
+        )
         # wo is 2 (wi.m) m - wi: all below the horizon where even the largest factors leave it there.
-        value[2 * along * np.cos(theta0) < self._wi[2] * (1 - 1e-9)] = 0.0
+        value[2 * along * np.cos(u0 * u0 * (np.pi / 2)) < self._wi[2] * (1 - 1e-9)] = 0.0
         return np.maximum(value, 0.0) * (1 + ROUNDING)
 
     def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -246,17 +230,39 @@ class AdaptiveField:
         theta, phi = directions.spherical_from_vector(wo * self._sign + self._wi)
         return np.sqrt(theta * (2 / np.pi)), np.mod((phi - self._turn) / (2 * np.pi) + 0.5, 1.0)
 
-    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        size = self.solid_angle(a, b) * self.directions(a, b)[:, 2]
-        return field / np.where(size > 0, size, np.inf)
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        place = self._placed(a, b)
+        data, ndf = looked_up(self._clamped, place[0]), looked_up(self._ndf, place[1])
+        # Of the data and of D: the field is their product, times what is not interpolated.
+        other = data * ndf
+        other = weight * np.nan_to_num(self.field(a, b)) / np.where(other > 0, other, np.inf)
+        return gain_of_image(self._clamped, place[0], other * ndf) + gain_of_image(
+            self._ndf, place[1], other * data
+        )
 
-    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        s = self._square(a, b)
-        found = np.stack([lookup(self._channels[..., c], *s) for c in range(self._channels.shape[2])], axis=1)
-        height = self.directions(a, b)[:, 2]
-        factor = lookup(self._ndf, a, b) / (4 * self._sigma)
+    def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
+        return self._packed(self._placed(a, b), self.directions(a, b)[:, 2])
+
+    def _packed(self, place: tuple[Corner, Corner], height: FloatArray) -> tuple[NDArray[Any], ...]:
+        return (*(column for at in place for column in (at.i, at.j, at.x, at.y)), height)
+
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
+        at, height = (Corner(*place[:4]), Corner(*place[4:8])), place[8]
+        found = np.stack([self._factored(channel, at) for channel in self._channels], axis=1)
         if self._quantity == "ccbrdf":
-            factor = factor / np.where(height > 0, height, np.inf)
-        elif self._quantity == "reflectance_factor":
-            factor = factor / np.pi
-        return found * np.where(height > 0, factor, np.nan)[:, None]
+            found /= np.where(height > 0, height, np.inf)[:, None]
+        found[height <= 0] = np.nan
+        return found
+
+
+def nearest_cosine(cells: FloatArray, turn: float, wi: FloatArray, spread: FloatArray | float) -> FloatArray:
+    """(K,) the largest wi.m, not below 0, for half vectors m of cells (K, 4) = u0, u1, v0, v1 and incidences
+    within ``spread`` (radians) of ``wi`` (1 or K, 3). turn : what m's azimuth counts from."""
+    u0, u1, v0, v1 = cells.T
+    theta0, theta1 = u0 * u0 * (np.pi / 2), u1 * u1 * (np.pi / 2)
+    theta = 0.5 * (theta0 + theta1)
+    centre = directions.vector_from_spherical(theta, (v0 + v1 - 1) * np.pi + turn)
+    across = np.sin(theta) * np.sin(theta1) * np.sin(0.5 * np.pi * (v1 - v0)) ** 2
+    radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
+    angle = np.arctan2(np.linalg.norm(np.cross(centre, wi), axis=1), (centre * wi).sum(axis=1))
+    return np.maximum(np.cos(np.maximum(angle - radius - spread - 1e-12, 0.0)), 0.0)

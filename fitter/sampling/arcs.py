@@ -39,39 +39,49 @@ def _up_to(
 
 
 def inverted(
-    u: FloatArray, a: FloatArray, b: FloatArray, theta: FloatArray, height: FloatArray
+    u: FloatArray, a: FloatArray, b: FloatArray, sine: FloatArray, cosine: FloatArray, height: FloatArray
 ) -> FloatArray:
     """s in [0, 1] with the share ``u`` of the integral of (a + (b - a) s) sin cos below it.
 
-    Newton's method from the answer that a constant sin cos would have; halving where it does not settle.
+    sine, cosine : of 2 theta where the arc begins. Newton's method, each until it settles, from the answer
+    that a linear product would have; halving where it does not settle.
     """
-    sine, cosine = np.sin(2 * theta), np.cos(2 * theta)
     flat, slope = _up_to(np.ones_like(u), height, sine, cosine)
     whole = a * flat + (b - a) * slope
     wanted = u * whole
-    s = linear(u, a, b)
-    for _ in range(_STEPS):
-        flat, slope = _up_to(s, height, sine, cosine)
-        x = 2 * height * s
-        square = x * x
-        # sin(a + x)/2, by series as above.
-        rate = sine * (1 - square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56))))
-        rate += cosine * x * (1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72))))
-        rate *= 0.5 * (a + (b - a) * s)
-        missing = wanted - (a * flat + (b - a) * slope)
-        s = np.clip(s + missing / np.where(rate > 0, rate, np.inf), 0.0, 1.0)
+    found = linear(u, a * sine, b * np.maximum(_sine(sine, cosine, 2 * height), 0.0))
+    left, s = np.arange(len(u)), found
     flat, slope = _up_to(s, height, sine, cosine)
-    left = np.flatnonzero(np.abs(wanted - (a * flat + (b - a) * slope)) > _SETTLED * whole)
-    if len(left):
-        low, high = np.zeros(len(left)), np.ones(len(left))
-        a, b, height, sine, cosine, wanted = (x[left] for x in (a, b, height, sine, cosine, wanted))
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            flat, slope = _up_to(middle, height, sine, cosine)
-            below = a * flat + (b - a) * slope < wanted
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        s[left] = 0.5 * (low + high)
-    return s
+    missing = wanted - (a * flat + (b - a) * slope)
+    for _ in range(_STEPS):
+        rate = 0.5 * (a + (b - a) * s) * _sine(sine, cosine, 2 * height * s)
+        s = np.clip(s + missing / np.where(rate > 0, rate, np.inf), 0.0, 1.0)
+        found[left] = s
+        flat, slope = _up_to(s, height, sine, cosine)
+        missing = wanted - (a * flat + (b - a) * slope)
+        still = np.flatnonzero(np.abs(missing) > _SETTLED * whole)
+        if not len(still):
+            return found
+        left = left[still]
+        s, missing, a, b, sine, cosine, height, wanted, whole = (
+            x[still] for x in (s, missing, a, b, sine, cosine, height, wanted, whole)
+        )
+    low, high = np.zeros(len(left)), np.ones(len(left))
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        flat, slope = _up_to(middle, height, sine, cosine)
+        below = a * flat + (b - a) * slope < wanted
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    found[left] = 0.5 * (low + high)
+    return found
+
+
+def _sine(sine: FloatArray, cosine: FloatArray, x: FloatArray) -> FloatArray:
+    """sin(a + x) for short x, of the sine and cosine of a."""
+    square = x * x
+    return sine * (
+        1 - square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))
+    ) + cosine * x * (1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72))))
 
 
 def linear(u: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

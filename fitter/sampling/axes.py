@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -27,6 +27,8 @@ _NATURAL_END: Mapping[str, float] = {
 }  # fmt: skip
 # Cell edges that differ by rounding only.
 _ROUNDING = 1e-12
+# Equal buckets of an axis at most; with more, nodes are found by bisection.
+_BUCKETS = 1 << 15
 
 
 class Place(NamedTuple):
@@ -75,6 +77,33 @@ class Axis:
         """(M,) where :meth:`fold` turns the sense of the coordinate round."""
         return (self.fold(x) != x) & (np.mod(x + np.pi, 2 * np.pi) < np.pi)
 
+    @cached_property
+    def _buckets(self) -> tuple[float, IndexArray, FloatArray] | None:
+        """Buckets per radian, the last node at or below each bucket's start, and the nodes followed by an
+        end that nothing passes. No bucket holds more than one node inside. None: there would be too many.
+        """
+        nodes = self.nodes
+        span, least = float(nodes[-1] - nodes[0]), float(np.diff(nodes).min())
+        if not 0 < span / least * 1.01 < _BUCKETS:
+            return None
+        count = int(np.ceil(span / least * 1.01))
+        start = nodes[0] + np.arange(count + 1) * (span / count)
+        # Rounding may put a coordinate into the bucket before: its start is moved down by as much.
+        first = np.searchsorted(nodes, start - 1e-3 * least, side="right") - 1
+        return count / span, np.maximum(first, 0), np.append(nodes[1:], np.inf)
+
+    def below(self, x: FloatArray) -> IndexArray:
+        """(M,) the last node at or below each coordinate, 0 before the first; found without bisection."""
+        if self._buckets is None:
+            return np.maximum(np.searchsorted(self.nodes, x, side="right") - 1, 0)
+        scale, first, following = self._buckets
+        at = x - self.nodes[0]
+        at *= scale
+        bucket = np.clip(at, 0, len(first) - 1, out=at).astype(np.intp)
+        index = first.take(bucket)
+        index += following.take(index) <= x
+        return index
+
     def locate(self, x: FloatArray) -> Place:
         """Where coordinates (M,), as :meth:`fitter.table.Grid.locate` returns them, lie."""
         x = self.fold(x)
@@ -85,12 +114,14 @@ class Axis:
             zero = np.zeros(x.shape, np.intp)
             return Place(zero, zero, np.zeros(x.shape), measured | (self.period is not None))
         if self.period is not None:
-            i = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, n - 1)
+            i = self.below(x)
             following = np.append(self.nodes[1:], self.nodes[0] + self.period)
-            t = np.clip((x - self.nodes[i]) / (following[i] - self.nodes[i]), 0.0, 1.0)
+            low = self.nodes.take(i)
+            t = np.clip((x - low) / (following.take(i) - low), 0.0, 1.0)
             return Place(i, np.where(i + 1 < n, i + 1, 0), t, np.ones(x.shape, bool))
-        i = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, n - 2)
-        t = (x - self.nodes[i]) / (self.nodes[i + 1] - self.nodes[i])
+        i = np.minimum(self.below(x), n - 2)
+        low = self.nodes.take(i)
+        t = (x - low) / (self.nodes.take(i + 1) - low)
         # Beyond an end both corners are the end node, so that its neighbour (masked or not) has no say.
         return Place(
             np.where(t >= 1.0, i + 1, i), np.where(t <= 0.0, i, i + 1), np.clip(t, 0.0, 1.0), measured
@@ -130,6 +161,28 @@ def fractions_at_ends(axis: Axis, place: Place, half: FloatArray) -> tuple[Float
     return np.clip(place.fraction - step, 0.0, 1.0), np.clip(place.fraction + step, 0.0, 1.0)
 
 
+def multilinear(
+    places: Sequence[Place], shape: Sequence[int], look_up: Callable[[IndexArray], FloatArray]
+) -> FloatArray:
+    """Between the corners of the cells that ``places`` (one per axis) lie in, axis by axis from the last.
+
+    look_up : values (M,) or (M, C) at flat indices (M,), which may be overwritten.
+    """
+    strides = np.cumprod([1, *shape[:0:-1]])[::-1]
+
+    def along(axis: int, start: IndexArray | int) -> FloatArray:
+        if axis == len(places):
+            return look_up(np.asarray(start))
+        place, stride = places[axis], strides[axis]
+        low, high = along(axis + 1, start + place.low * stride), along(axis + 1, start + place.high * stride)
+        high -= low
+        high *= place.fraction if high.ndim == 1 else place.fraction[:, None]
+        high += low
+        return high
+
+    return along(0, 0)
+
+
 def corners(places: Sequence[Place], shape: Sequence[int]) -> list[tuple[IndexArray, FloatArray]]:
     """``(flat index, weight)`` of the 2^d corners of the cells that ``places`` (one per axis) lie in."""
     strides = np.cumprod([1, *shape[:0:-1]])[::-1]
@@ -142,3 +195,40 @@ def corners(places: Sequence[Place], shape: Sequence[int]) -> list[tuple[IndexAr
             weight = weight * (place.fraction if side else 1.0 - place.fraction)
         found.append((index, weight))
     return found
+
+
+class Span:
+    """Intervals on an axis. first, last : nodes that enclose each; few : at most one node strictly inside."""
+
+    def __init__(self, axis: Axis, low: FloatArray, high: FloatArray) -> None:
+        self._axis = axis
+        nodes, n = axis.nodes, len(axis.nodes)
+        self.low, self.high = np.clip(low, nodes[0], nodes[-1]), np.clip(high, nodes[0], nodes[-1])
+        self.first = np.clip(np.searchsorted(nodes, self.low, side="right") - 1, 0, n - 1)
+        self.last = np.clip(np.searchsorted(nodes, self.high, side="left"), 0, n - 1)
+        self.few = self.last - self.first <= 2
+
+    def take(self, index: IndexArray) -> Span:
+        """Only the intervals ``index``."""
+        return Span(self._axis, self.low[index], self.high[index])
+
+    @property
+    def nodes(self) -> list[IndexArray]:
+        """The (up to three different) nodes around intervals that hold at most one."""
+        n = len(self._axis.nodes)
+        return [np.minimum(self.first + k, n - 1) for k in range(3)]
+
+    @property
+    def fractions(self) -> list[list[FloatArray]]:
+        """Weights of the three nodes at both ends and at the node inside (or again at an end)."""
+        x = [self._axis.nodes[index] for index in self.nodes]
+        found: list[list[FloatArray]] = []
+        for point in (self.low, np.clip(x[1], self.low, self.high), self.high):
+            left = _ratio(point - x[0], x[1] - x[0])
+            right = _ratio(point - x[1], x[2] - x[1])
+            found.append([1 - left, left * (1 - right), right])
+        return found
+
+
+def _ratio(step: FloatArray, width: FloatArray) -> FloatArray:
+    return np.clip(np.where(width > 0, step / np.where(width > 0, width, 1.0), 0.0), 0.0, 1.0)

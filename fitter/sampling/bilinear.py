@@ -132,6 +132,7 @@ class BilinearEnvelope:
         self._corner = tuple(np.ascontiguousarray(column) for column in corners[keep].T)
         self._steepest = 2 * _steepest(theta0, theta1)
         self._alias = AliasTable(envelope[keep])
+        self._sine2, self._cosine2 = np.sin(2 * theta0), np.cos(2 * theta0)
         self._every: FloatArray | None = None
         if field.linear and field.count > 1:
             self._every = field.corners_of_channels(rectangles[keep])
@@ -139,7 +140,6 @@ class BilinearEnvelope:
             integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
             blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
             acceptance=integral / float(envelope.sum()), extrapolated=field.extrapolated, method=method,
-            energy_error=field.energy_error,
         )  # fmt: skip
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
@@ -153,7 +153,7 @@ class BilinearEnvelope:
         f00, f01, f10, f11 = (corner.take(cell) for corner in self._corner)
         theta0, height = self._theta.take(cell), self._height.take(cell)
         s = (
-            inverted(s, f00 + f01, f10 + f11, theta0, height)
+            inverted(s, f00 + f01, f10 + f11, self._sine2.take(cell), self._cosine2.take(cell), height)
             if self._exact
             else linear(s, f00 + f01, f10 + f11)
         )
@@ -165,28 +165,23 @@ class BilinearEnvelope:
         f01 += f11
         t = linear(t, f00, f01)
         envelope = f00 + t * (f01 - f00)
-        theta = theta0 + s * height
-        phi = self._phi.take(cell) + t * self._width.take(cell)
-        half = np.tan(0.5 * theta)
-        square = half * half
-        below = 1.0 / (1.0 + square)
-        sine, cosine = 2.0 * half * below, (1.0 - square) * below
-        half = np.tan(0.5 * (phi + self._field.rotation))
-        square = half * half
-        below = sine / (1.0 + square)
-        wo = np.empty((m, 3))
-        wo[:, 0] = (1.0 - square) * below
-        wo[:, 1] = 2.0 * half * below
+        theta = s * height
+        theta += theta0
+        phi = t * self._width.take(cell)
+        phi += self._phi.take(cell)
+        cosine, sine = directions.cosine_and_sine(theta)
         # At the horizon a cosine of rounding size may come out on the wrong side.
-        wo[:, 2] = np.maximum(cosine, 0.0)
+        np.maximum(cosine, 0.0, out=cosine)
+        x, y = directions.cosine_and_sine(phi + self._field.rotation)
+        x *= sine
+        y *= sine
         density = envelope
         if not self._field.linear:
             density = self._field.density(theta, phi)
             if np.any(density > envelope * (1 + ROUNDING)):
                 raise violated()
-        if self._exact:
-            accepted = np.ones(m, bool)
-        else:
+        accepted = None
+        if not self._exact:
             chance = rng.random(m)
             chance *= self._steepest.take(cell)
             sine *= 2.0 * cosine
@@ -194,7 +189,11 @@ class BilinearEnvelope:
                 chance *= envelope
                 sine *= density
             accepted = chance < sine
-        return Candidates(wo, accepted, density, (cell, s, t, theta, phi))
+        return Candidates((x, y, cosine), accepted, density, (cell, s, t, theta, phi))
+
+    def energy_error(self) -> float:
+        """What the integral is known to for interpolation alone, relative."""
+        return self._field.energy_error
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""

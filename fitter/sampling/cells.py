@@ -6,13 +6,23 @@ the candidate accepted with probability field / majorant, has density proportion
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.envelope import Candidates, SliceInfo, empty_slice, violated
+from fitter.sampling.envelope import (
+    Candidates,
+    Envelope,
+    Method,
+    SliceInfo,
+    empty_slice,
+    no_inversion,
+    violated,
+)
 from fitter.sampling.majorants import Field
 from fitter.sampling.refining import worth_halving
 
@@ -24,7 +34,26 @@ _FINAL = 4
 _ROUNDS = 60
 # How often cells on the rim of the measured domain are cut for the integral.
 _RIM = 4
-_CHUNK = 1 << 18
+_CHUNK = 1 << 14
+
+
+@dataclass(frozen=True)
+class ChartSlice:
+    """One incidence ``wi`` (3,) of a table that is drawn from on a chart.
+
+    kind : of table, in words. field : of this slice and of channel weights.
+    """
+
+    wi: FloatArray
+    extrapolated: bool
+    kind: str
+    field: Callable[[ChartSlice, FloatArray], Field]
+    preferred: Method = "rejection"
+
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
+        if method == "inversion":
+            raise no_inversion(self.kind)
+        return CellEnvelope(self.field(self, weights), acceptance, cells)
 
 
 class CellEnvelope:
@@ -57,7 +86,7 @@ class CellEnvelope:
     def _finish(self, rectangles: FloatArray, majorant: FloatArray) -> None:
         field = self._field
         # On the rim of the measured domain the field breaks off: there the integral needs smaller cells.
-        fine = self._rimmed(rectangles)
+        fine = self._fine = self._rimmed(rectangles)
         mass = self._quadrature(fine, _FINAL)
         integral = float(mass.sum())
         if not integral > 0:
@@ -66,9 +95,10 @@ class CellEnvelope:
         clamped = 0.0
         if field.clamps:
             clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
-        disk, sphere = (float(self._quadrature(fine, _STEER, of=of).sum()) for of in ("disk", "sphere"))
+        disk, sphere = self._covered(fine)
         keep = majorant > 0
-        self._sides = tuple(np.ascontiguousarray(side) for side in rectangles[keep].T)
+        self._sides = tuple(rectangles[keep].T)
+        self._columns = tuple(np.ascontiguousarray(column) for column in field.columns(rectangles[keep]))
         self._majorant = majorant[keep]
         envelope = self._majorant * field.measures(rectangles[keep])
         self._alias = AliasTable(envelope)
@@ -95,22 +125,21 @@ class CellEnvelope:
         """``m`` candidates in the sample's frame."""
         cell = self._alias.choose(rng.random(m))
         u, v, chance = rng.random((3, m))
-        a, b = self._field.place(tuple(side.take(cell) for side in self._sides), u, v)
-        found = self._field.field(a, b)
+        found = self._field.draw(tuple(column.take(cell) for column in self._columns), u, v)
         majorant = self._majorant.take(cell)
-        if np.any(found > majorant):
+        if np.any(found.field > majorant):
             raise violated()
         chance *= majorant
-        accepted = chance < found  # False where the field is NaN: not measured there
-        return Candidates(self._field.directions(a, b), accepted, self._field.density(found, a, b), (a, b))
+        accepted = chance < found.field  # False where the field is NaN: not measured there
+        return Candidates(found.wo, accepted, found.density, found.place)
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""
-        return np.nan_to_num(self._field.channels(*place), nan=0.0)
+        return np.nan_to_num(self._field.channels(place), nan=0.0)
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""
-        found = self._field.channels(*self._field.coordinates(wo))
+        found = self._field.channels(self._field.place(*self._field.coordinates(wo)))
         return np.where((wo[:, 2] > 0)[:, None], np.nan_to_num(found, nan=0.0), 0.0)
 
     def attack(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
@@ -121,30 +150,41 @@ class CellEnvelope:
         a0, a1, b0, b1 = (side[cell] for side in self._sides)
         return self._field.field(a0 + s * (a1 - a0), b0 + t * (b1 - b0)), self._majorant[cell]
 
-    def _quadrature(
-        self, rectangles: FloatArray, points: int, *, clamped: bool = True, of: str = "field"
-    ) -> FloatArray:
-        """(K,) integral over each cell of the field, or of its measured part on the disk or the sphere."""
-        field = self._field
+    def energy_error(self) -> float:
+        """Relative size of what interpolation adds to the integral, estimated."""
+        points = [(a, b, weight) for a, b, weight in self._points(self._fine, _STEER)]
+        return abs(sum(self._field.gain(*some) for some in points)) / self.info.integral
+
+    def _points(
+        self, rectangles: FloatArray, points: int
+    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Gauss-Legendre points and weights, the chart's measure included, cell by cell."""
         x, weight = np.polynomial.legendre.leggauss(points)
-        total = np.zeros(len(rectangles))
         per = max(1, _CHUNK // points**2)
         for start in range(0, len(rectangles), per):
             a0, a1, b0, b1 = (side[:, None, None] for side in rectangles[start : start + per].T)
             a = 0.5 * (a0 + a1) + 0.5 * (a1 - a0) * x[None, :, None]
             b = 0.5 * (b0 + b1) + 0.5 * (b1 - b0) * x[None, None, :]
-            shape = np.broadcast_shapes(a.shape, b.shape)
-            a, b = (np.broadcast_to(side, shape).reshape(-1) for side in (a, b))
-            value = field.field(a, b, clamped=clamped)
-            if of == "field":
-                value = np.nan_to_num(value, nan=0.0)
-            else:
-                value = np.where(np.isfinite(value), field.solid_angle(a, b), 0.0)
-                if of == "disk":
-                    value *= field.directions(a, b)[:, 2]
-            jacobian = 0.25 * (a1 - a0) * (b1 - b0) * (value * field.measure(a, b)).reshape(shape)
-            total[start : start + per] = np.einsum("kij,i,j->k", jacobian, weight, weight)
-        return total
+            size = 0.25 * (a1 - a0) * (b1 - b0) * np.outer(weight, weight)
+            a, b = (np.broadcast_to(side, size.shape).reshape(-1) for side in (a, b))
+            yield a, b, size.reshape(-1) * self._field.measure(a, b)
+
+    def _quadrature(self, rectangles: FloatArray, points: int, *, clamped: bool = True) -> FloatArray:
+        """(K,) integral of the field over each cell."""
+        parts: list[FloatArray] = [np.zeros(0)]
+        for a, b, weight in self._points(rectangles, points):
+            value = np.nan_to_num(self._field.field(a, b, clamped=clamped), nan=0.0)
+            parts.append((value * weight).reshape(-1, points**2).sum(axis=1))
+        return np.concatenate(parts)
+
+    def _covered(self, rectangles: FloatArray) -> tuple[float, float]:
+        """What was measured of the cells, on the disk and on the sphere."""
+        disk = sphere = 0.0
+        for a, b, weight in self._points(rectangles, _STEER):
+            size = np.where(np.isfinite(self._field.field(a, b)), self._field.solid_angle(a, b) * weight, 0.0)
+            sphere += float(size.sum())
+            disk += float(size @ self._field.directions(a, b)[:, 2])
+        return disk, sphere
 
 
 def _halves(rectangles: FloatArray, tall: NDArray[np.bool_]) -> FloatArray:

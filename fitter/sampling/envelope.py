@@ -29,8 +29,8 @@ class SliceInfo:
     acceptance : expected share of candidates that is accepted.
     extrapolated : True when the incidence lies outside the measured ones (only if that was allowed).
     method : how directions are drawn.
-    energy_error : what the energy of a narrow lobe is known to after interpolation, relative; None where
-        nothing estimates it (all but grids in incoming and outgoing angles).
+    energy_error : what the integral is known to for interpolation alone, relative, estimated; None where
+        :meth:`fitter.TableSampler.info` did not ask.
     """
 
     integral: float
@@ -47,13 +47,14 @@ class SliceInfo:
 
 @dataclass(frozen=True)
 class Candidates:
-    """wo : (m, 3); accepted : (m,); density : (m,) weighted f+ in 1/sr, defined where accepted.
+    """wo : components of directions, each (m,); of pairs, of wi and then of wo. accepted : (m,), None where
+    all are. density : (m,) weighted f+ in 1/sr, defined where accepted.
 
     place : where the candidates lie, in the envelope's own terms, for :meth:`Envelope.channels`.
     """
 
-    wo: FloatArray
-    accepted: BoolArray
+    wo: tuple[FloatArray, ...]
+    accepted: BoolArray | None
     density: FloatArray
     place: tuple[NDArray[Any], ...]
 
@@ -88,7 +89,7 @@ class Drawable(Protocol):
 
 
 class JointEnvelope(Drawable, Protocol):
-    """Candidates are pairs: ``wo`` of :class:`Candidates` is (m, 6), wi then wo."""
+    """Candidates are pairs: ``wo`` of :class:`Candidates` has six components, wi then wo."""
 
     info: JointInfo
 
@@ -97,6 +98,10 @@ class Envelope(Drawable, Protocol):
     """Candidates for one incidence."""
 
     info: SliceInfo
+
+    def energy_error(self) -> float:
+        """That of :class:`SliceInfo`, estimated when it is asked for."""
+        ...
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel in 1/sr at directions (M, 3), 0 outside the measured part."""

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.sampling.axes import Axis, Place, corners
-from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.axes import Place, Span, corners, multilinear
+from fitter.sampling.curvature import gain
+from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
 if TYPE_CHECKING:
-    from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
+    from fitter.sampling.cells import ChartSlice
+    from fitter.sampling.grid import GridInterpolant
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -51,8 +53,8 @@ class HalfDifferenceField:
     # Square enough to begin with; everything else is refinement.
     _BEGIN = (24, 96)
 
-    def __init__(self, part: HalfDifferenceSlice, weights: FloatArray) -> None:
-        self._table = part.interpolant
+    def __init__(self, table: GridInterpolant, part: ChartSlice, weights: FloatArray) -> None:
+        self._table = table
         self._shared = self._table.weighted(weights)
         self.extrapolated = part.extrapolated
         theta_i, phi_i = directions.spherical_from_vector(part.wi)
@@ -64,8 +66,11 @@ class HalfDifferenceField:
         return np.linspace(0, np.pi / 2, self._BEGIN[0] + 1), np.linspace(-np.pi, np.pi, self._BEGIN[1] + 1)
 
     def _places(self, theta: FloatArray, phi: FloatArray) -> list[Place]:
-        wo = directions.vector_from_spherical(theta, phi)
-        coordinates = self._table.grid.locate(self._wi, wo)
+        return self._around(*directions.spherical_components(theta, phi))
+
+    def _around(self, x: FloatArray, y: FloatArray, z: FloatArray) -> list[Place]:
+        """Of components in the frame where wi has azimuth 0."""
+        coordinates = self._table.grid.half_difference(*self._wi[:, None], x, y, z)
         return [axis.locate(x) for axis, x in zip(self._table.axes, coordinates, strict=True)]
 
     def measures(self, cells: FloatArray) -> FloatArray:
@@ -84,17 +89,28 @@ class HalfDifferenceField:
         theta0, theta1, phi0, phi1 = cells.T
         return theta1 - theta0 >= np.sin(theta1) * (phi1 - phi0)
 
-    def place(
-        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        theta0, theta1, phi0, phi1 = cells
-        # sin^2 and cos^2 drawn together: arcsin alone would lose half the digits at the horizon.
-        low, high = np.sin(theta0) ** 2, np.sin(theta1) ** 2
-        sin2 = low + u * (high - low)
-        low, high = np.cos(theta0) ** 2, np.cos(theta1) ** 2
-        cos2 = low + u * (high - low)
-        theta = np.clip(np.arctan2(np.sqrt(sin2), np.sqrt(cos2)), theta0, theta1)
-        return theta, phi0 + v * (phi1 - phi0)
+    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+        theta0, theta1, phi0, phi1 = cells.T
+        change = np.sin(theta1 - theta0) * np.sin(theta1 + theta0)
+        return np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0.copy(), phi1 - phi0
+
+    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
+        sin2, cos2, change, phi, width = columns
+        # sin^2 and cos^2 drawn together: either alone would lose half the other's digits.
+        change *= u
+        sin2 += change
+        cos2 -= change
+        flat, z = np.sqrt(sin2), np.sqrt(np.maximum(cos2, 0.0))
+        v *= width
+        v += phi
+        cosine, sine = directions.cosine_and_sine(v)
+        x, y = flat * cosine, flat * sine
+        places = self._around(x, y, z)
+        found = self._blend(places, self._shared.weighted.take)
+        if self._rotation != 0:
+            turn = np.cos(self._rotation), np.sin(self._rotation)
+            x, y = turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y
+        return Point(found, (x, y, z), found, packed(places))
 
     def directions(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a, b + self._rotation)
@@ -103,31 +119,36 @@ class HalfDifferenceField:
         theta, phi = directions.spherical_from_vector(wo)
         return theta, phi - self._rotation
 
-    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        return field
-
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
         def look_up(index: IndexArray) -> FloatArray:
             if clamped:
-                return self._shared.weighted[index]
+                return self._shared.weighted.take(index)
             return np.where(self._table.mask[index], self._table.value[index] @ self._shared.weights, np.nan)
 
         return self._blend(self._places(a, b), look_up)
 
-    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        shape = self._table.grid.shape
+        depends = np.zeros(len(self._shared.weighted))
+        for index, share in corners(self._places(a, b), shape):
+            depends += np.bincount(index, share * weight, len(depends))
+        return gain(self._shared.weighted.reshape(shape), self._table.axes, depends.reshape(shape))
+
+    def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
+        return packed(self._places(a, b))
+
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         def look_up(index: IndexArray) -> FloatArray:
             usable = self._table.mask[index][:, None]
             return np.where(usable, np.maximum(self._table.value[index], 0.0), np.nan)
 
-        return self._blend(self._places(a, b), look_up)
+        return self._blend(unpacked(place), look_up)
 
     def _blend(self, places: list[Place], look_up: Callable[[IndexArray], FloatArray]) -> FloatArray:
-        total: FloatArray | float = 0.0
-        for index, weight in corners(places, self._table.grid.shape):
-            found = look_up(index)
-            total = total + (weight if found.ndim == 1 else weight[:, None]) * found
-        found = np.asarray(total)
-        found[~np.logical_and.reduce([place.measured for place in places])] = np.nan
+        found = multilinear(places, self._table.grid.shape, look_up)
+        measured = np.logical_and.reduce([place.measured for place in places])
+        if not measured.all():
+            found[~measured] = np.nan
         return found
 
     def bound(self, cells: FloatArray) -> FloatArray:
@@ -188,38 +209,11 @@ class HalfDifferenceField:
         return most * (1 + ROUNDING)
 
 
-class Span:
-    """Intervals on an axis. first, last : nodes that enclose each; few : at most one node strictly inside."""
-
-    def __init__(self, axis: Axis, low: FloatArray, high: FloatArray) -> None:
-        self._axis = axis
-        nodes, n = axis.nodes, len(axis.nodes)
-        self.low, self.high = np.clip(low, nodes[0], nodes[-1]), np.clip(high, nodes[0], nodes[-1])
-        self.first = np.clip(np.searchsorted(nodes, self.low, side="right") - 1, 0, n - 1)
-        self.last = np.clip(np.searchsorted(nodes, self.high, side="left"), 0, n - 1)
-        self.few = self.last - self.first <= 2
-
-    def take(self, index: IndexArray) -> Span:
-        """Only the intervals ``index``."""
-        return Span(self._axis, self.low[index], self.high[index])
-
-    @property
-    def nodes(self) -> list[IndexArray]:
-        """The (up to three different) nodes around intervals that hold at most one."""
-        n = len(self._axis.nodes)
-        return [np.minimum(self.first + k, n - 1) for k in range(3)]
-
-    @property
-    def fractions(self) -> list[list[FloatArray]]:
-        """Weights of the three nodes at both ends and at the node inside (or again at an end)."""
-        x = [self._axis.nodes[index] for index in self.nodes]
-        found: list[list[FloatArray]] = []
-        for point in (self.low, np.clip(x[1], self.low, self.high), self.high):
-            left = _ratio(point - x[0], x[1] - x[0])
-            right = _ratio(point - x[1], x[2] - x[1])
-            found.append([1 - left, left * (1 - right), right])
-        return found
+def packed(places: list[Place]) -> tuple[NDArray[Any], ...]:
+    """Places as one flat tuple of arrays."""
+    return tuple(column for place in places for column in place)
 
 
-def _ratio(step: FloatArray, width: FloatArray) -> FloatArray:
-    return np.clip(np.where(width > 0, step / np.where(width > 0, width, 1.0), 0.0), 0.0, 1.0)
+def unpacked(place: tuple[NDArray[Any], ...]) -> list[Place]:
+    """Inverse of :func:`packed`."""
+    return [Place(*place[k : k + 4]) for k in range(0, len(place), 4)]

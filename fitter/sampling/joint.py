@@ -21,7 +21,7 @@ from fitter.errors import TableError
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.arcs import inverted, moments
 from fitter.sampling.axes import Axis
-from fitter.sampling.envelope import Candidates, Envelope, JointInfo, Method, empty_slice
+from fitter.sampling.envelope import Candidates, Drawable, Envelope, JointInfo, Method, empty_slice
 from fitter.sampling.grid import GridInterpolant
 from fitter.sampling.scattered import Part, ScatteredInterpolant, ScatteredSlice
 from fitter.sampling.spherical import Node, SphericalSlice
@@ -105,7 +105,8 @@ class BlendedJoint:
         edges = np.flatnonzero(np.diff(member[order], prepend=-1))
         for mine in np.split(order, edges[1:]):
             found = self._members[int(member[mine[0]])].draw(rng, len(mine))
-            wo[mine], accepted[mine] = found.wo, found.accepted
+            wo[mine] = np.stack(found.wo, axis=1)
+            accepted[mine] = True if found.accepted is None else found.accepted
         wo = self._moved(wi, wo, piece)
         if self._isotropic:
             turn = rng.uniform(-np.pi, np.pi, m)
@@ -116,7 +117,7 @@ class BlendedJoint:
         values[some], outside = self._evaluate(wi[some], wo[some])
         accepted[~inside] = False
         accepted[some[outside]] = False
-        return Candidates(np.concatenate([wi, wo], axis=1), accepted, values @ self._weights, (values,))
+        return Candidates((*wi.T, *wo.T), accepted, values @ self._weights, (values,))
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel."""
@@ -127,7 +128,8 @@ class BlendedJoint:
         u = rng.random((3, m))
         theta0, theta1, a, b, phi0, phi1, c, d = (column[piece] for column in self._ends)
         if self._pieces[0].corners is None:
-            theta = theta0 + inverted(u[0], a, b, theta0, theta1 - theta0) * (theta1 - theta0)
+            height = theta1 - theta0
+            theta = theta0 + inverted(u[0], a, b, np.sin(2 * theta0), np.cos(2 * theta0), height) * height
             if self._isotropic:
                 return directions.vector_from_spherical(theta, 0.0)
             # c + (d - c) t, inverted in the form that does not cancel.
@@ -141,10 +143,13 @@ class BlendedJoint:
         return np.concatenate([point, z[:, None]], axis=1)
 
 
-def estimated(envelope: Any, total: float) -> JointInfo:
+def estimated(envelope: Drawable, total: float) -> JointInfo:
     """The integral as the envelope's ``total`` times the accepted share of candidates of a fixed seed."""
     rng = np.random.default_rng(0)
-    hits = sum(int(envelope.draw(rng, _PROBE_PART).accepted.sum()) for _ in range(_PROBE // _PROBE_PART))
+    hits = 0
+    for _ in range(_PROBE // _PROBE_PART):
+        accepted = envelope.draw(rng, _PROBE_PART).accepted
+        hits += _PROBE_PART if accepted is None else int(np.count_nonzero(accepted))
     if hits == 0:
         raise empty_slice()
     share = hits / _PROBE

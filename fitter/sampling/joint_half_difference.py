@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.axes import Axis, Place, corners, fractions_at_ends
+from fitter.sampling.axes import Axis, fractions_at_ends, multilinear
 from fitter.sampling.envelope import Candidates, JointInfo, empty_slice, violated
 from fitter.sampling.grid import GridInterpolant
+from fitter.sampling.half_difference import packed, unpacked
 from fitter.sampling.joint import estimated
 from fitter.sampling.majorants import ROUNDING
 
@@ -104,26 +105,16 @@ class HalfDifferenceJoint:
         ]
         phi_d += np.floor(u[3] * self._turns) * (2 * np.pi / self._turns)
         wi, wo = directions.vectors_from_half_difference(theta_h, theta_d, phi_d, (2 * u[4] - 1) * np.pi)
-        density = self._blend(places, self._value[:, None])[:, 0]
+        density = multilinear(places, self._grid.grid.shape, self._value.take)
         field = np.where((wi[:, 2] > 0) & (wo[:, 2] > 0), density * wi[:, 2] * wo[:, 2], 0.0)
         bound = self._bound[chosen]
         if np.any(field > bound):
             raise violated()
-        place = tuple(column for one in places for column in (one.low, one.high, one.fraction))
-        return Candidates(np.concatenate([wi, wo], axis=1), u[5] * bound < field, density, place)
+        return Candidates((*wi.T, *wo.T), u[5] * bound < field, density, packed(places))
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel."""
-        places = [
-            Place(place[k], place[k + 1], place[k + 2], np.ones(len(place[0]), bool)) for k in (0, 3, 6)
-        ]
-        return self._blend(places, self._clamped)
-
-    def _blend(self, places: list[Place], value: FloatArray) -> FloatArray:
-        total = np.zeros((len(places[0].low), value.shape[1]))
-        for index, weight in corners(places, self._grid.grid.shape):
-            total += weight[:, None] * value[index]
-        return total
+        return multilinear(unpacked(place), self._grid.grid.shape, lambda i: self._clamped.take(i, axis=0))
 
 
 def _edges(axis: Axis) -> FloatArray:

@@ -7,7 +7,8 @@ values clamped at 0, its channels weighted. The bounds are theorems, see each ``
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,19 @@ BoolArray = NDArray[np.bool_]
 
 # Covers the rounding of the interpolation (a few sums of products) on top of the bound itself.
 ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Point:
+    """Points (M,) of a chart. field : NaN outside the measured domain. wo : components in the sample's frame.
+
+    density : weighted f+ in 1/sr. place : where they lie, for :meth:`Field.channels`.
+    """
+
+    field: FloatArray
+    wo: tuple[FloatArray, FloatArray, FloatArray]
+    density: FloatArray
+    place: tuple[NDArray[Any], ...]
 
 
 class Field(Protocol):
@@ -45,14 +59,20 @@ class Field(Protocol):
         """(K,) whether a cell is better cut across its first coordinate than across the second."""
         ...
 
-    def place(
-        self, cells: tuple[FloatArray, ...], u: FloatArray, v: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+        """What :meth:`draw` needs to know of each cell, each (K,)."""
+        ...
+
+    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
         """Points in cells, uniform by the chart's measure for uniform numbers u and v."""
         ...
 
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
         """(M,) the field, NaN outside the measured domain."""
+        ...
+
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        """What interpolation adds to the integral that these points and weights (M,) make up, estimated."""
         ...
 
     def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -63,11 +83,11 @@ class Field(Protocol):
         """(M, 3) in the sample's frame."""
         ...
 
-    def density(self, field: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(M,) weighted f+ in 1/sr of what :meth:`field` found there."""
+    def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
+        """What :meth:`channels` needs to know of points, as :class:`Point` has it."""
         ...
 
-    def channels(self, a: FloatArray, b: FloatArray) -> FloatArray:
+    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(M, C) f+ of every channel in 1/sr; NaN outside the measured domain."""
         ...
 

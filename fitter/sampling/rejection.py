@@ -1,8 +1,7 @@
-"""Draws from an envelope: slot by slot until each holds an accepted candidate, on all cores.
+"""Draws from an envelope: the accepted ones of a stream of candidates, in their order, on all cores.
 
-Every slot is filled by rejection of its own, which is what makes the draws independent; only the rejected
-ones are drawn again, so that nothing has to be moved. Draws come in blocks with a random stream of their own
-each: the same seed gives the same draws on any number of cores.
+Draws come in blocks with a random stream of their own each: the same seed gives the same draws on any number
+of cores.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ _PART = 1 << 13
 
 @dataclass(frozen=True)
 class Drawn:
-    """``wo`` (n, 3) or pairs (n, 6); ``density`` (n,) f+, weighted; ``channels`` (n, C), None of one channel.
+    """``wo`` (n, 3) or pairs (n, 6); ``pdf`` (n,); ``weight`` (n, C), None of one channel: it is constant.
 
     tried : candidates; hits : those accepted, used or not; filled : draws made. Fewer than n where the
     candidates allowed were used up.
     """
 
     wo: FloatArray
-    density: FloatArray
-    channels: FloatArray | None
+    pdf: FloatArray
+    weight: FloatArray | None
     tried: int
     hits: int
     filled: int
@@ -46,6 +45,7 @@ class Drawn:
 
 def blocks(
     envelope: Drawable,
+    integral: float,
     n: int,
     seed: np.random.SeedSequence,
     channels: int,
@@ -56,6 +56,7 @@ def blocks(
 ) -> Iterator[Drawn]:
     """``n`` draws, ``at_once`` blocks at a time, in order.
 
+    integral : of what the draws follow.
     most : candidates allowed in all: blocks then come one after another, so that each knows what is left.
     each : candidates allowed to a block otherwise. width : numbers of a candidate (6 for pairs wi, wo).
     """
@@ -71,11 +72,13 @@ def blocks(
             parts = [_part(whole, k - start) for k in some]
             streams = [np.random.default_rng(_child(seed, k)) for k in some]
             if pool is not None:
-                done = list(pool.map(_fill, repeat(envelope), streams, parts, repeat(each), repeat(given_up)))
+                shared = (repeat(one) for one in (each, given_up))
+                done = list(pool.map(_fill, repeat(envelope), repeat(integral), streams, parts, *shared))
             else:
                 done: list[tuple[int, int, int]] = []
                 for rng, part in zip(streams, parts, strict=True):
-                    done.append(_fill(envelope, rng, part, each if most is None else most, given_up))
+                    budget = each if most is None else most
+                    done.append(_fill(envelope, integral, rng, part, budget, given_up))
                     most = None if most is None else most - done[-1][0]
             yield Drawn(*whole, *(sum(column) for column in zip(*done, strict=True)))
     finally:
@@ -85,8 +88,8 @@ def blocks(
 
 def _part(whole: Arrays, k: int) -> Arrays:
     mine = slice(k * BLOCK, (k + 1) * BLOCK)
-    wo, density, channels = whole
-    return wo[mine], density[mine], None if channels is None else channels[mine]
+    wo, pdf, weight = whole
+    return wo[mine], pdf[mine], None if weight is None else weight[mine]
 
 
 def _child(seed: np.random.SeedSequence, k: int) -> np.random.SeedSequence:
@@ -102,46 +105,42 @@ def _empty(n: int, channels: int, width: int) -> Arrays:
 
 
 def _fill(
-    envelope: Drawable, rng: np.random.Generator, out: Arrays, budget: int, given_up: Event
+    envelope: Drawable, integral: float, rng: np.random.Generator, out: Arrays, budget: int, given_up: Event
 ) -> tuple[int, int, int]:
     """``(tried, hits, filled)`` of filling the arrays of one block.
 
     given_up : set once a block has used up its candidates: no other one need go on.
     """
-    wo, density, channels = out
+    wo, pdf, weight = out
     tried = hits = filled = 0
-    for start in range(0, len(wo), _PART):
-        stop = min(start + _PART, len(wo))
-        empty = slice(start, stop)
-        left = stop - start
-        hopeful = 1.0
-        while left > 0:
-            if tried >= budget or given_up.is_set():
-                given_up.set()
-                return tried, hits, filled
-            # Of a poor envelope so many more candidates that most slots are filled at once.
-            m = min(left if hopeful > 0.5 else int(left / max(hopeful, 1e-3)) + 16, _PART, budget - tried)
-            found = envelope.draw(rng, m)
-            tried += m
+    hopeful = 1.0
+    while filled < len(pdf):
+        if tried >= budget or given_up.is_set():
+            given_up.set()
+            break
+        left = len(pdf) - filled
+        m = min(left if hopeful == 1 else int(left / hopeful) + 16, _PART, budget - tried)
+        found = envelope.draw(rng, m)
+        tried += m
+        good: slice | NDArray[np.intp] = slice(0, min(m, left))
+        count = m
+        if found.accepted is not None:
             good = np.flatnonzero(found.accepted)
-            hits += len(good)
-            hopeful = max(len(good) / m, 1e-3)
-            if isinstance(empty, slice):
-                if m == left and len(good) > 0.5 * m:
-                    # All of them, the rejected ones too: those slots are drawn again.
-                    wo[empty], density[empty] = found.wo, found.density
-                    if channels is not None:
-                        channels[empty] = envelope.channels(found.place)
-                    empty = start + np.flatnonzero(~found.accepted)
-                    filled += len(good)
-                    left = len(empty)
-                    continue
-                empty = np.arange(start, stop)
-            take, where = good[:left], empty[: min(len(good), left)]
-            wo[where], density[where] = found.wo[take], found.density[take]
-            if channels is not None:
-                channels[where] = envelope.channels(tuple(part[take] for part in found.place))
-            empty = empty[len(where) :]
-            filled += len(where)
-            left = len(empty)
+            count, good = len(good), good[:left]
+        hits += count
+        hopeful = max(hits / tried, 1e-3)
+        density = found.density[good]
+        part = slice(filled, filled + len(density))
+        steep: FloatArray | float = 1.0 / integral
+        for k, column in enumerate(found.wo):
+            one = column[good]
+            wo[part, k] = one
+            if k % 3 == 2:
+                steep = steep * one
+        np.multiply(density, steep, out=pdf[part])
+        if weight is not None:
+            values = envelope.channels(tuple(one[good] for one in found.place))
+            # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
+            np.multiply(values, (integral / density)[:, None], out=weight[part])
+        filled += len(density)
     return tried, hits, filled

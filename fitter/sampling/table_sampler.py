@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import FitError, SpecError, TableError
-from fitter.sampling.envelope import Drawable, Envelope, JointEnvelope, JointInfo, Method, SliceInfo
+from fitter.sampling.envelope import Envelope, JointEnvelope, JointInfo, Method, SliceInfo
 from fitter.sampling.interpolant import interpolant
 from fitter.sampling.rejection import BLOCK, Drawn, blocks
 from fitter.sampling.samples import Samples
@@ -25,8 +26,8 @@ FloatArray = NDArray[np.float64]
 MOST_DRAWS = 50_000_000
 # Blocks of draws in one part of a stream.
 _AT_ONCE = 4
-# Kept set-ups; one is a few MB.
-_KEPT = 16
+#: Set-ups of the latest incidences that are kept; one is a few MB.
+KEPT = 16
 # Without a budget of the caller's: an acceptance below this is a failure, not a reason to go on.
 _HOPELESS = 1e-3
 
@@ -83,7 +84,15 @@ class TableSampler:
 
     def info(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> SliceInfo:
         """What the sampler knows about one incidence: integral, coverage, expected acceptance, clamping."""
-        return self.envelope(wi, allow_extrapolated=allow_extrapolated).info
+        envelope = self.envelope(wi, allow_extrapolated=allow_extrapolated)
+        return replace(envelope.info, energy_error=envelope.energy_error())
+
+    def slices(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> list[dict[str, Any]] | None:
+        """:meth:`info` of incidences (M, 3) or (3,) just drawn for; None of more than are kept."""
+        several = np.atleast_2d(np.asarray(wi, np.float64))
+        if len(several) > KEPT:
+            return None
+        return [asdict(self.info(one, allow_extrapolated=allow_extrapolated)) for one in several]
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike, *, allow_extrapolated: bool = False) -> FloatArray:
         """(M,) density of wo (M, 3) given ``wi`` (3,) per unit solid angle, 1/sr."""
@@ -118,7 +127,7 @@ class TableSampler:
             _check_count(n, MOST_DRAWS)
             envelope, sequence, kept = self._start(wi, seed, allow_extrapolated)
             drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK)))
-            return self._samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
+            return _samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
         _check_count(n, MOST_DRAWS // max(len(several), 1))
         sequence, kept = _sequence(seed)
         parts: list[Samples] = []
@@ -129,7 +138,7 @@ class TableSampler:
             own = np.random.SeedSequence(sequence.entropy, spawn_key=(*sequence.spawn_key, k))
             drawn = next(self._drawn(envelope, n, own, left, -(-n // BLOCK)))
             tried += drawn.tried
-            parts.append(self._samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept))
+            parts.append(_samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept))
         return joined(parts, np.repeat(several, n, axis=0))
 
     def stream(
@@ -160,16 +169,9 @@ class TableSampler:
         sequence, kept = _sequence(seed)
         envelope = self._pairs()
         drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK), width=6))
-        steep = drawn.wo[:, 2] * drawn.wo[:, 5]
-        integral = envelope.info.integral
-        weight = np.full((n, 1), integral)
-        if drawn.channels is not None:
-            weight = drawn.channels * (integral / drawn.density)[:, None]
-        return Samples(
-            wo=np.ascontiguousarray(drawn.wo[:, 3:]), pdf=drawn.density * steep / integral, weight=weight,
-            valid=np.ones(n, bool), is_delta=np.zeros(n, bool), acceptance=drawn.hits / drawn.tried,
-            seed=kept, evaluations=drawn.tried, wi=np.ascontiguousarray(drawn.wo[:, :3]),
-        )  # fmt: skip
+        found = _samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
+        wi, wo = (np.ascontiguousarray(found.wo[:, part]) for part in (slice(0, 3), slice(3, 6)))
+        return replace(found, wo=wo, wi=wi)
 
     def info_pairs(self) -> JointInfo:
         """What the sampler knows about pairs: their integral, its error, expected acceptance."""
@@ -186,11 +188,11 @@ class TableSampler:
         tried = hits = 0
         for drawn in self._drawn(envelope, n, sequence, most, _AT_ONCE):
             tried, hits = tried + drawn.tried, hits + drawn.hits
-            yield self._samples(envelope, drawn, hits / tried, tried, kept)
+            yield _samples(envelope, drawn, hits / tried, tried, kept)
 
     def _drawn(
         self,
-        envelope: Drawable,
+        envelope: Envelope | JointEnvelope,
         n: int,
         sequence: np.random.SeedSequence,
         most: int | None,
@@ -200,7 +202,8 @@ class TableSampler:
         """Parts of ``n`` draws. Raises FitError once ``most`` candidates were not enough."""
         tried = hits = made = 0
         count, each = len(self._weights), int(BLOCK / _HOPELESS)
-        for drawn in blocks(envelope, n, sequence, count, most, each, at_once, width):
+        integral = envelope.info.integral
+        for drawn in blocks(envelope, integral, n, sequence, count, most, each, at_once, width):
             tried, hits, made = tried + drawn.tried, hits + drawn.hits, made + drawn.filled
             if drawn.filled < len(drawn.wo):
                 raise FitError(
@@ -211,24 +214,6 @@ class TableSampler:
                     remedy="raise max_evaluations, or give the sampler more cells",
                 )  # fmt: skip
             yield drawn
-
-    def _samples(
-        self, envelope: Envelope, drawn: Drawn, acceptance: float, tried: int, seed: int | None
-    ) -> Samples:
-        n, integral = len(drawn.wo), envelope.info.integral
-        if drawn.channels is None:
-            weight = np.full((n, 1), integral)
-        else:
-            # f cos / pdf = f / f+ x integral: the cosine cancels, so the weight stays exact at the horizon.
-            weight = drawn.channels
-            weight *= (integral / drawn.density)[:, None]
-        pdf = drawn.density
-        pdf *= drawn.wo[:, 2]
-        pdf /= integral
-        return Samples(
-            wo=drawn.wo, pdf=pdf, weight=weight, valid=np.ones(n, bool), is_delta=np.zeros(n, bool),
-            acceptance=acceptance, seed=seed, evaluations=tried,
-        )  # fmt: skip
 
     def _start(
         self, wi: ArrayLike, seed: Any, allow_extrapolated: bool
@@ -254,10 +239,23 @@ class TableSampler:
             )  # fmt: skip
         key = (float(w[0]), float(w[1]), float(w[2]))
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
+            if len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[key] = part.envelope(self._weights, *self._target, self._method or part.preferred)
         return self._kept[key]
+
+
+def _samples(
+    envelope: Envelope | JointEnvelope, drawn: Drawn, acceptance: float, tried: int, seed: int | None
+) -> Samples:
+    n, weight = len(drawn.wo), drawn.weight
+    if weight is None:
+        # The same number for all: no memory need be written.
+        weight = np.broadcast_to(np.float64(envelope.info.integral), (n, 1))
+    return Samples(
+        wo=drawn.wo, pdf=drawn.pdf, weight=weight, valid=np.ones(n, bool), is_delta=np.zeros(n, bool),
+        acceptance=acceptance, seed=seed, evaluations=tried,
+    )  # fmt: skip
 
 
 def joined(parts: list[Samples], wi: FloatArray) -> Samples:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
+from fitter.sampling.curvature import gain_of_triangles
 from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, violated
 from fitter.sampling.mesh import Mesh, halved, overlay
 from fitter.sampling.refining import worth_halving
@@ -76,6 +77,17 @@ class TriangleEnvelope:
             method=method,
         )  # fmt: skip
 
+    def energy_error(self) -> float:
+        """Relative size of what interpolation adds to the integral, estimated."""
+        found = sum(
+            part.weight
+            * gain_of_triangles(
+                part.scan.points, part.scan.clamped @ self._weights, part.scan.triangulation.simplices
+            )
+            for part in self._slice.parts
+        )
+        return abs(found) / self.info.integral
+
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates in the sample's frame."""
         item = self._alias.choose(rng.random(m))
@@ -93,24 +105,20 @@ class TriangleEnvelope:
         else:
             second, third = high - low, 1.0 - high
         x, y, density = (_mixed(column, item, second, third) for column in self._point)
-        if self._exact:
-            accepted = np.ones(m, bool)
-        else:
+        accepted = None
+        if not self._exact:
             bound = self._bound.take(item)
             accepted = u * bound < density
             if np.any(density > bound):
                 raise violated()
         # Rounding may put a draw from a sliver at the rim outside the disk, by a part in 1e16.
-        z2 = np.maximum((1.0 - x) * (1.0 + x) - y * y, 0.0)
+        z2 = (1.0 - x) * (1.0 + x)
+        z2 -= y * y
+        z = np.sqrt(np.maximum(z2, 0.0, out=z2), out=z2)
         turn = self._slice.rotation
-        wo = np.empty((m, 3))
-        if turn == 0:
-            wo[:, 0], wo[:, 1] = x, y
-        else:
-            wo[:, 0] = np.cos(turn) * x - np.sin(turn) * y
-            wo[:, 1] = np.sin(turn) * x + np.cos(turn) * y
-        np.sqrt(z2, out=wo[:, 2])
-        return Candidates(wo, accepted, density, (item, second, third))
+        if turn != 0:
+            x, y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+        return Candidates((x, y, z), accepted, density, (item, second, third))
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""

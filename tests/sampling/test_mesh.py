@@ -78,6 +78,6 @@ def test_arcs_are_integrated_and_inverted_to_rounding() -> None:
     np.testing.assert_allclose(a * low + b * high, whole, rtol=1e-12)
     u = rng.random(m)
     u[:3] = 0.0
-    s = inverted(u, a, b, theta, height)
+    s = inverted(u, a, b, np.sin(2 * theta), np.cos(2 * theta), height)
     assert ((s >= 0) & (s <= 1)).all()
     np.testing.assert_allclose(integral(s) / whole, u, atol=1e-11)
