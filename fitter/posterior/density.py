@@ -7,9 +7,8 @@ angles in units of their standard uncertainties, which have normal priors].
 The scale of a value's noise is its sigma, or sqrt((relative f)^2 + floor^2). Student's t with nu degrees of
 freedom has that scale (JCGM 101:2008, 6.4.9.2), and a standard deviation larger by sqrt(nu/(nu - 2)).
 
-What is sampled is x on the whole line, folded into the bounds: y = |x| above 0, a triangle wave between two
-bounds. A flat prior stays flat, and a parameter near its bound has a mirror image instead of a wall: a floor
-near 0 becomes a smooth bell.
+Beyond the bounds there is nothing. A surface has one name only: its axes in their order, its azimuths within
+a quarter turn of where they were at the mode.
 """
 
 from __future__ import annotations
@@ -35,6 +34,8 @@ from fitter.posterior.offsets import shifted
 FloatArray = NDArray[np.float64]
 #: Walkers evaluated at once: more would push the samples out of the cache.
 BATCH = 8
+#: Coordinates that differ by less are the same: renaming a surface rounds.
+SAME = 1e-9
 
 
 class Data(NamedTuple):
@@ -68,8 +69,8 @@ class Density:
 
     rows : vectors evaluated by one call of the compiled program, one length for all; 0 for any number.
     lower, upper : (P,) bounds of y; upper infinite for coordinates bounded below by 0 alone.
-    centre : (P,) a y whose azimuths are the middle of the half turn they are brought to; None leaves the axes
-        of a surface in whatever order they come.
+    centre : (P,) a y whose azimuths are the middle of the half turn they keep to; None lets the axes of a
+        surface have any name.
     """
 
     layout: Layout
@@ -88,13 +89,15 @@ class Density:
     def channels(self) -> int:
         return len(self.data.value)
 
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """Log-density (W,) at vectors x (W, P).
+    def __call__(self, y: FloatArray) -> FloatArray:
+        """Log-density (W,) at vectors y (W, P).
 
         Compiled programs release the interpreter's lock, so parts of the vectors are evaluated beside each
         other. Their length is the same on every machine, and so are the values, to the last bit.
         """
-        y = self.folded(x)
+        inside = self.within(y)
+        # Beyond its bounds a model may be anything, and slow.
+        y = np.where(inside[:, None], y, np.clip(y, self.lower, self.upper))
         rows = self.rows or len(y)
         # The last part is filled up with the last vector again.
         places = np.minimum(np.arange(-(-len(y) // rows) * rows), len(y) - 1).reshape(-1, rows)
@@ -102,7 +105,7 @@ class Density:
             found = self._part(y[places[0]])
         else:
             found = np.concatenate(list(self._pool.map(self._part, y[places])))
-        return np.where(self.within(x), found[: len(y)], -np.inf)
+        return np.where(inside, found[: len(y)], -np.inf)
 
     def _part(self, y: FloatArray) -> FloatArray:
         return np.asarray(_batch(self.layout, self.noise, y, self._data))
@@ -116,29 +119,35 @@ class Density:
         """On the device once and for all: every call would copy it again."""
         return jax.device_put(self.data)
 
-    def within(self, x: FloatArray) -> NDArray[np.bool_]:
-        """(...) True where no bounded coordinate is beyond the first mirror image of its range.
-
-        Without an end a coordinate that the data leave open would wander ever further, and the proposals,
-        which learn from the walkers, with it. Over whole images a flat prior stays flat.
-        """
-        span = self.upper - self.lower
-        inside = (x >= self.lower - span) & (x <= self.upper + span)
-        return np.asarray((inside | np.isinf(span)).all(axis=-1))
+    def within(self, y: FloatArray) -> NDArray[np.bool_]:
+        """(...) True where y (..., P) is within its bounds and no other name of the same surface."""
+        inside = ((y >= self.lower) & (y <= self.upper)).all(axis=-1)
+        if self._named:
+            inside &= (np.abs(self.renamed(y) - y) < SAME).all(axis=-1)
+        return np.asarray(inside)
 
     def folded(self, x: FloatArray) -> FloatArray:
-        """The model's coordinates y of sampled vectors x, both (..., P)."""
+        """Vectors x (..., P) mirrored at their bounds until they are within, surfaces by their one name."""
         open_above = ~np.isfinite(self.upper)
         span = np.where(open_above, 1.0, self.upper - self.lower)
         turn = np.mod((x - self.lower) / span, 2.0)
-        y = np.where(open_above, np.abs(x), self.lower + span * np.minimum(turn, 2.0 - turn))
-        if self.centre is None or len(azimuths(self.layout)) == 0:
+        mirrored = self.lower + span * np.minimum(turn, 2.0 - turn)
+        return self.renamed(np.where(open_above, self.lower + np.abs(x - self.lower), mirrored))
+
+    def renamed(self, y: FloatArray) -> FloatArray:
+        """The same surfaces y (..., P), their axes in order and their azimuths about those of ``centre``."""
+        if not self._named:
             return y
-        # The same surface under its other names: otherwise an azimuth hardly known had several modes.
+        assert self.centre is not None
+        y = y.copy()
         first = len(self.layout.linear) * self.channels
         u = slice(first, first + len(self.layout.entries))
         y[..., u] = ordered_axes(self.layout, y[..., u], self.centre[u])
         return y
+
+    @cached_property
+    def _named(self) -> bool:
+        return self.centre is not None and len(azimuths(self.layout)) > 0
 
     def mode(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The mode near y and the covariance (P, P) of the normal that has its curvature (Laplace)."""
@@ -159,14 +168,14 @@ class Density:
     def _curvature(self, y: FloatArray) -> FloatArray:
         """-Hessian (P, P) at y, no direction wider than a fraction of its range.
 
-        Where the mode is pressed against a bound with slope g the folded density falls as exp(-g |x|):
-        g^2 is its curvature.
+        Where the mode is pressed against a bound with slope g the density falls as exp(-g distance): g^2 is
+        taken for its curvature.
         """
         slope = np.asarray(_value_and_grad(self.layout, self.noise, y, self._data)[1])
         pressed = ((y <= self.lower) & (slope < 0)) | ((y >= self.upper) & (slope > 0))
         h = -np.nan_to_num(np.asarray(_hessian(self.layout, self.noise, y, self._data)))
         h = 0.5 * (h + h.T) + np.diag(np.where(pressed, slope * slope, 0.0))
-        typical = np.maximum(np.abs(y), 1e-3 * np.median(np.abs(self.data.value)))
+        typical = np.maximum(np.abs(y), np.median(np.abs(self.data.value)))
         width = np.where(np.isfinite(self.upper), 0.3 * (self.upper - self.lower), typical)
         # One factor after the other: the product of two small widths underflows.
         values, vectors = np.linalg.eigh(np.nan_to_num(h * width[:, None] * width))

@@ -124,7 +124,8 @@ class Ensembles:
         return segment
 
     def _sampler(self) -> tuple[emcee.EnsembleSampler, IndependenceMove]:
-        moves = mixture(self.proposal.mean, self.proposal.covariance, self.count)
+        mean, covariance, _ = self.proposal
+        moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
         sampler = emcee.EnsembleSampler(
             len(self.proposal.walkers), self.density.size, self.density, vectorize=True, moves=moves
         )
@@ -139,7 +140,7 @@ class Ensembles:
     def chains(self, discarded: int, steps: int) -> FloatArray:
         """(walkers of all ensembles, steps - discarded, P) in the model's coordinates."""
         whole = np.concatenate([segment.chain for segment in self.segments])
-        return self.density.folded(whole[discarded:steps].transpose(1, 0, 2))
+        return whole[discarded:steps].transpose(1, 0, 2)
 
 
 def start(
@@ -234,7 +235,7 @@ def start(
     # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
     spread = 2.0 * np.linalg.cholesky(covariance)
     starts = mode + rng.standard_normal((request.ensembles * walkers, len(x))) @ spread.T
-    starts = np.where(density.within(starts)[:, None], starts, density.folded(starts))
+    starts = density.folded(starts)
     seed = np.random.SeedSequence(int(rng.integers(2**63)))
     proposal = Proposal(mode, covariance, starts)
     return Ensembles(density, labels, logs, np.array(units), request.ensembles, seed, proposal)

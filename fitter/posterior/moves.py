@@ -20,6 +20,8 @@ IntArray = NDArray[np.intp]
 #: sticks. Heavier ones (5) are refused twice as often in nine dimensions; lighter ones (20) let walkers stick
 #: in the tails of posteriors from 60 samples.
 FREEDOM = 10.0
+#: Bounds that proposals are mirrored at, at most (32 images), from how many standard deviations on.
+MIRRORS, NEAR = 5, 4.0
 #: Shares of the moves. What the independence proposals can't reach, differential evolution learns; its jumps
 #: of gamma = 1 cross between modes.
 SHARES = (0.8, 0.15, 0.05)
@@ -28,31 +30,59 @@ SHARES = (0.8, 0.15, 0.05)
 class IndependenceMove(emcee.moves.Move):
     """Metropolis-Hastings with proposals from a multivariate t about the mode (Tierney 1994).
 
+    A posterior near a bound is half a bell. Proposals beyond a bound that the mode is near to are mirrored
+    back, so that the density of a proposal is the sum over its mirror images; with more than MIRRORS such
+    bounds, proposals beyond the others are left to be refused.
+
     ``tried`` and ``accepted`` count its proposals.
     """
 
-    def __init__(self, mode: FloatArray, covariance: FloatArray) -> None:
+    def __init__(
+        self, mode: FloatArray, covariance: FloatArray, lower: FloatArray | float = -np.inf,
+        upper: FloatArray | float = np.inf,
+    ) -> None:  # fmt: skip
         self.mode = mode
         self.root = np.linalg.cholesky(covariance)
         self.tried = self.accepted = 0
+        sd = np.sqrt(np.diagonal(covariance))
+        below, above = (mode - lower) / sd, (upper - mode) / sd
+        self.bound = np.where(below <= above, lower, upper)
+        self.side = np.where(below <= above, 1.0, -1.0)
+        distance = np.minimum(below, above)
+        self.near = np.argsort(distance, kind="stable")[:MIRRORS]
+        self.near = self.near[distance[self.near] < NEAR]
 
     def propose(self, model: Model, state: State) -> tuple[State, NDArray[np.bool_]]:
         x, random = state.coords, model.random
-        normal = random.standard_normal(x.shape)
-        z = normal * np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=(len(x), 1)))
-        proposed = self.mode + z @ self.root.T
+        proposed = self._proposals(len(x), random)
         found = model.compute_log_prob_fn(proposed)[0]
-        log_ratio = self._log_density(x) - self._log_density_of_z(z)
+        log_ratio = self.log_density(x) - self.log_density(proposed)
         accepted = np.log(random.rand(len(x))) < found - state.log_prob + log_ratio
         self.tried += len(x)
         self.accepted += int(accepted.sum())
         return self.update(state, State(proposed, log_prob=found), accepted), accepted
 
-    def _log_density(self, x: FloatArray) -> FloatArray:
-        return self._log_density_of_z(np.linalg.solve(self.root, (x - self.mode).T).T)
+    def _proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
+        normal = random.standard_normal((count, len(self.mode)))
+        z = normal * np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=(count, 1)))
+        proposed = self.mode + z @ self.root.T
+        k = self.near
+        proposed[:, k] = self.bound[k] + self.side[k] * np.abs(proposed[:, k] - self.bound[k])
+        return proposed
 
-    def _log_density_of_z(self, z: NDArray[np.floating]) -> FloatArray:
-        return -0.5 * (FREEDOM + z.shape[1]) * np.log1p(np.square(z).sum(axis=1) / FREEDOM)
+    def log_density(self, x: FloatArray) -> FloatArray:
+        """(W,) of proposals x (W, P) on the inner side of the mirrors, up to a constant."""
+        centred = (x - self.mode).T
+        images = [centred]
+        for k in self.near:
+            shift = 2.0 * (self.bound[k] - self.mode[k])
+            for one in list(images):
+                mirrored = one.copy()
+                mirrored[k] = shift - one[k]
+                images.append(mirrored)
+        z = np.linalg.solve(self.root, np.concatenate(images, axis=1))
+        each = -0.5 * (FREEDOM + len(z)) * np.log1p(np.square(z).sum(axis=0) / FREEDOM)
+        return np.logaddexp.reduce(each.reshape(len(images), len(x)), axis=0)
 
 
 class DifferenceMove(emcee.moves.Move):
@@ -100,14 +130,13 @@ class DifferenceMove(emcee.moves.Move):
 
 
 def mixture(
-    mode: FloatArray, covariance: FloatArray, ensembles: int
-) -> list[tuple[IndependenceMove | DifferenceMove, float]]:
-    """Independence proposals mixed with differential evolution, which learns a shape that isn't normal."""
-    return list(
-        zip(
-            (
-                IndependenceMove(mode, covariance), DifferenceMove(ensembles), DifferenceMove(ensembles, 1.0)
-            ),
-            SHARES, strict=True,
-        )
-    )  # fmt: skip
+    mode: FloatArray, covariance: FloatArray, ensembles: int, lower: FloatArray | float = -np.inf,
+    upper: FloatArray | float = np.inf,
+) -> list[tuple[IndependenceMove | DifferenceMove, float]]:  # fmt: skip
+    """Independence proposals mixed with differential evolution, which learns a shape that isn't normal.
+
+    lower, upper : bounds, beyond which the density is 0.
+    """
+    independence = IndependenceMove(mode, covariance, lower, upper)
+    moves = (independence, DifferenceMove(ensembles), DifferenceMove(ensembles, 1.0))
+    return list(zip(moves, SHARES, strict=True))

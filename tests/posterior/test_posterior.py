@@ -49,6 +49,31 @@ def test_moves_keep_a_correlated_normal(dimension):
         np.testing.assert_allclose(draws.mean(axis=0), 0.0, atol=0.12 * sd.max())
 
 
+@pytest.mark.parametrize("mirrors", [5, 1])
+def test_moves_keep_a_normal_that_is_cut_off(monkeypatch, mirrors):
+    """Correlated, with a bound at its middle and two at a standard deviation; against plain draws. With one
+    mirror only, what lies beyond the other bounds is refused: as right, only slower."""
+    monkeypatch.setattr("fitter.posterior.moves.MIRRORS", mirrors)
+    rng = np.random.default_rng(1)
+    covariance = np.array([[1.0, 0.6, 0.3], [0.6, 1.0, -0.2], [0.3, -0.2, 1.0]])
+    inverse, lower, upper = np.linalg.inv(covariance), np.array([0.0, -9.0, -1.0]), np.array([9.0, 1.0, 9.0])
+
+    def log_density(x):
+        inside = ((x >= lower) & (x <= upper)).all(axis=1)
+        return np.where(inside, -0.5 * np.einsum("wi,ij,wj->w", x, inverse, x), -np.inf)
+
+    plain = rng.multivariate_normal(np.zeros(3), covariance, 400_000)
+    plain = plain[np.isfinite(log_density(plain))]
+    alone = [(IndependenceMove(plain.mean(axis=0), np.cov(plain.T), lower, upper), 1.0)]
+    for moves in (alone, mixture(plain.mean(axis=0), np.cov(plain.T), 2, lower, upper)):
+        sampler = emcee.EnsembleSampler(40, 3, log_density, vectorize=True, moves=moves)
+        sampler.random_state = np.random.RandomState(1).get_state()
+        sampler.run_mcmc(plain[:40], 2500)
+        draws = sampler.get_chain(discard=100, flat=True)
+        np.testing.assert_allclose(draws.mean(axis=0), plain.mean(axis=0), atol=0.03)
+        np.testing.assert_allclose(np.cov(draws.T), np.cov(plain.T), atol=0.03)
+
+
 def test_ensembles_know_nothing_of_each_other():
     """Two islands, an ensemble on each: a difference between walkers of both would be a way across."""
 
@@ -281,11 +306,12 @@ def test_an_azimuth_that_the_data_leave_open_is_spread_over_its_half_turn():
     assert np.histogram(psi, bins=8)[0].min() > len(psi) / 128
 
 
-def test_an_open_coordinate_stays_within_images_of_its_range():
+def test_there_is_nothing_beyond_the_bounds():
     places = layout(FitSpec(model=ModelSpec.parse("ward")))
     nothing = np.zeros((1, 1))
     density = Density(
         places, Data(np.zeros((6, 1)), nothing, nothing + 1), np.zeros(3), np.array([np.inf, 1.0, 3.0])
     )
-    x = np.array([[-50.0, 0.5, 1.0], [9.0, -1.0, 6.0], [0.0, -1.1, 0.0], [0.0, 0.0, 6.1]])
-    assert density.within(x).tolist() == [True, True, False, False]
+    x = np.array([[50.0, 0.5, 1.0], [0.0, 0.0, 3.0], [-1e-9, 0.5, 1.0], [0.0, 1.1, 0.0], [0.0, 0.0, 3.1]])
+    assert density.within(x).tolist() == [True, True, False, False, False]
+    assert np.isneginf(density(x)).tolist() == [False, False, True, True, True]

@@ -119,6 +119,7 @@ def show_posterior(posterior: Posterior, screen: Screen) -> None:
         f"{posterior.template.spec.name}: {posterior.status.replace('_', ' ')} in {posterior.seconds:.2f} s, "
         f"{len(posterior.draws):,} draws kept, acceptance {posterior.acceptance:.2f}"
     )
+    beside = [name for name in ("naive", "robust") if posterior.uncertainties[name] is not None]
     rows: list[list[str]] = []
     for label, interval in posterior.intervals().items():
         row = [
@@ -126,10 +127,20 @@ def show_posterior(posterior: Posterior, screen: Screen) -> None:
             *(number(interval[key]) for key in ("median", "lower", "upper")),
             number(interval["sd"], 2),
         ]
+        for name in beside:
+            u = posterior.uncertainties[name]["u"].get(label)
+            row.append("-" if u is None else number(u, 2))
         diagnostic = posterior.diagnostics.get(label)
         row += ["-", "-"] if diagnostic is None else [f"{diagnostic.rhat:.4f}", f"{diagnostic.ess_bulk:,.0f}"]
         rows.append(row)
-    screen.table(("parameter", "median", "95 % from", "to", "sd", "R-hat", "ESS"), rows)
+    names = [f"{name} u" for name in beside]
+    screen.table(("parameter", "median", "95 % from", "to", "sd", *names, "R-hat", "ESS"), rows)
+    if posterior.spec.draws == "robust":
+        screen.line("  draws and sd are rescaled to the robust uncertainty, whose tails are Student's t")
+    for name in ("posterior", *beside):
+        words = posterior.uncertainties[name]["words"]
+        screen.line(f"  {'sd, of the posterior' if name == 'posterior' else f'{name} u'}: {words}")
+    screen.line(f"  u belongs to {posterior.uncertainties['refers_to']}")
     for warning in posterior.warnings:
         screen.line(f"  warning: {warning}")
 
