@@ -145,6 +145,16 @@ class Density:
         y[..., u] = ordered_axes(self.layout, y[..., u], self.centre[u])
         return y
 
+    @property
+    def prior_range(self) -> tuple[FloatArray, FloatArray]:
+        """(P,) ends of the ranges; of azimuths, the half turn that they have one name in."""
+        low, high = self.lower.copy(), self.upper.copy()
+        if self._named:
+            assert self.centre is not None
+            where = len(self.layout.linear) * self.channels + azimuths(self.layout)
+            low[where], high[where] = self.centre[where] - np.pi / 2, self.centre[where] + np.pi / 2
+        return low, high
+
     @cached_property
     def _named(self) -> bool:
         return self.centre is not None and len(azimuths(self.layout)) > 0

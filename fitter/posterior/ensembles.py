@@ -27,6 +27,8 @@ LARGEST_NOISE = 3.0
 #: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
 #: between the samples can have any strength: without a bound its posterior is not proper.
 LARGEST_SCALE = 100.0
+#: A relative misfit below this is rounding: a likelihood with inferred noise would have no largest value.
+ROUNDING = 1e-9
 #: Walkers of an ensemble, at least. R-hat over all walkers asks each of them for a hundred independent draws,
 #: so that more walkers cost more; differential evolution needs twice the dimension to see all directions.
 FEWEST_WALKERS = 12
@@ -182,6 +184,12 @@ def start(
         high.append(upper[entry])
         units.append(1.0)
     if sigma is None:
+        if fit.metrics["relative_rmse"] < ROUNDING:
+            raise FitError(
+                "the residuals are rounding: there is no noise to infer", code="no-noise",
+                cause="a table of computed values, or of a single one", parameter="noise",
+                remedy="give the table's standard uncertainties",
+            )  # fmt: skip
         misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
         guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)] / unit))
         for what, guess in guesses:

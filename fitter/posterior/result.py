@@ -43,7 +43,9 @@ class Posterior:
         the instrument's angles in radians where they are sampled.
     draws : (S, P) in the parameters' own units, thinned to about independent.
     template : the fitted model; a draw replaces its free values.
-    status : "converged" or "not_converged", and ``message`` which target was missed.
+    status : "converged"; "not_converged", and ``message`` which target was missed; "not_identified": a
+        parameter fills the range that it was allowed; "prior_conflict": one lies against the bounds of the
+        specification.
     uncertainties : "posterior", "naive" and "robust": of each, what it is and u by label
         (:mod:`fitter.posterior.beside`).
     history : list of {"steps", "rhat", "ess", "seconds"} as the run went on.

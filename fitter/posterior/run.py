@@ -55,12 +55,14 @@ def sample(
 
     Returns
     -------
-    Posterior : with status "not_converged" and the missed target where the budget ended first.
+    Posterior : its ``status`` says whether its numbers mean what they say; "not_converged" and the missed
+        target where the budget ended first.
 
     Raises
     ------
     SpecError : settings that make no sense, noise="table" without sigma, or a checkpoint of another run.
-    FitError : fewer values than parameters, or a likelihood that is nowhere finite.
+    FitError : fewer values than parameters, a likelihood that is nowhere finite, or noise to be inferred from
+        residuals that are all rounding.
     """
     begun = time.perf_counter()
     if spec is not None and settings:

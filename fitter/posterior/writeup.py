@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,10 @@ from fitter.table import Table
 FloatArray = NDArray[np.float64]
 #: An offset is remarkable from so many standard uncertainties on.
 FAR_OFF = 3.0
+#: Draws are as open as their prior from this share of its standard deviation on.
+EVEN = 0.85
+#: Draws lie against a bound where 97.5 % of them are within this share of the range of it.
+AGAINST = 0.05
 
 
 def write_up(
@@ -48,7 +53,21 @@ def write_up(
     }
     steps, walkers = look.steps, len(runs[0].proposal.walkers)
     reached = f"R-hat {look.rhat:.4f}, effective sample size {look.ess:.0f} after {steps} steps"
-    if look.met:
+    status = "converged" if look.met else "not_converged"
+    pressed, open_ends = _pressed(runs, fit, look), _open(runs, look)
+    if look.met and pressed:
+        status = "prior_conflict"
+        message = (
+            f"the bounds given for {', '.join(pressed)} exclude what the table asks for: the draws lie "
+            f"against them ({reached})"
+        )
+    elif look.met and open_ends:
+        status = "not_identified"
+        message = (
+            f"the draws of {', '.join(open_ends)} fill the whole range that was allowed: the table says "
+            f"nothing of it ({reached})"
+        )
+    elif look.met:
         message = f"converged: {reached}"
     else:
         message = (
@@ -64,6 +83,10 @@ def write_up(
         warnings.append(
             "misfit counts as independent noise here: on real tables it is correlated, and these intervals "
             "are too narrow by a factor of several; compare the fit's own standard uncertainties"
+        )
+    if table.domain.incidences == 1:
+        warnings.append(
+            "one incidence: what the parameters do at other incidences is the model's, not the table's"
         )
     chi2 = fit.metrics.get("chi2_per_dof")
     if kind == "table" and chi2 is not None and chi2 > 2:
@@ -94,7 +117,7 @@ def write_up(
         noise={**_noise(kind, data), **_shape(request)},
         diagnostics=diagnostics,
         acceptance=float(np.mean([run.acceptance for run in runs])),
-        status="converged" if look.met else "not_converged",
+        status=status,
         message=message,
         history=tuple(history),
         cost={
@@ -109,6 +132,33 @@ def write_up(
         uncertainties=beside(labels, sampled, _likelihood(kind, request, labels), plain, without_scans),
         warnings=tuple(warnings),
     )  # fmt: skip
+
+
+def _open(runs: list[Ensembles], look: Look) -> list[str]:
+    """Labels of parameters whose draws are spread as evenly as their prior."""
+    found: list[str] = []
+    for run in runs:
+        low, high = run.density.prior_range
+        sd = run.chains(look.discarded, look.steps).std(axis=(0, 1))
+        even = (high - low) / math.sqrt(12.0)
+        for k in np.flatnonzero(np.isfinite(high)):
+            if sd[k] > EVEN * even[k] and not run.labels[k].endswith("_offset"):
+                found.append(run.labels[k])
+    return found
+
+
+def _pressed(runs: list[Ensembles], fit: FitResult, look: Look) -> list[str]:
+    """Labels of parameters that lie against a bound of the specification."""
+    found: list[str] = []
+    for run in runs:
+        density, y = run.density, run.chains(look.discarded, look.steps)
+        for k, label in enumerate(run.labels):
+            if label.partition("[")[0] in fit.spec.bounds:
+                low, high = density.lower[k], density.upper[k]
+                ends = np.quantile(np.minimum(y[..., k] - low, high - y[..., k]), 0.975)
+                if ends < AGAINST * (high - low):
+                    found.append(label)
+    return found
 
 
 def _shape(request: PosteriorSpec) -> dict[str, Any]:

@@ -94,8 +94,8 @@ def test_directions_turn_by_the_offsets():
 
 def turned(offset_deg, seed=3, stated=None):
     """A glossy surface measured with theta_o read that much too small, in scans out of the plane, too."""
-    model = models.create("ward", channels=["c"], kd=0.2, ks=0.1, alpha=0.1)
-    table = scattered(model, seed=seed, n=400, noise=0.0, sigma=True)
+    model = models.create("ward", channels=["value"], kd=0.2, ks=0.1, alpha=0.1)
+    table = scattered(model, seed=seed, n=400, noise=0.0)
     theta, phi = directions.spherical_from_vector(table.wo)
     actual = directions.vector_from_spherical(np.minimum(theta + np.deg2rad(offset_deg), 1.55), phi)
     value = np.asarray(model.evaluate(table.wi, actual))
@@ -121,8 +121,8 @@ def test_an_angle_offset_is_found_and_the_parameters_with_it():
     )
     assert wide < 3 < off
     # Named beside it: the uncertainty with angles exactly as stated, which is smaller.
-    naive = post.uncertainties["naive"]["u"]["kd[c]"]
-    assert naive == pytest.approx(left_out.uncertainties["posterior"]["u"]["kd[c]"], rel=0.2)
+    naive = post.uncertainties["naive"]["u"]["kd[value]"]
+    assert naive == pytest.approx(left_out.uncertainties["posterior"]["u"]["kd[value]"], rel=0.2)
 
 
 def test_offsets_are_common_to_channels_that_share_nothing_else():
@@ -131,11 +131,11 @@ def test_offsets_are_common_to_channels_that_share_nothing_else():
     fit = fitter.fit(table, "lafortune")
     post = fitter.posterior(table, fit, angle_uncertainty_deg=0.2, **QUICK)
     assert post.labels.count("theta_o_offset") == 1
-    assert {"n[R]", "n[G]"} <= set(post.labels)
+    assert {"n[c0]", "n[c1]"} <= set(post.labels)
     assert post.status == "converged", post.message
-    for label in ("n[R]", "n[G]"):
+    for k, label in enumerate(("n[c0]", "n[c1]")):
         low, high = np.quantile(draws_of(post, label), [0.0005, 0.9995])
-        assert low < float(model.values["n"]["RG".index(label[2])]) < high
+        assert low < float(model.values["n"][k]) < high
 
 
 def test_robust_draws_have_the_robust_covariance():
@@ -154,8 +154,8 @@ def test_robust_draws_have_the_robust_covariance():
         assert draws_of(wide, label).mean() == pytest.approx(draws_of(plain, label).mean(), abs=0.1 * u)
         low, high = np.quantile(draws_of(wide, label), [0.025, 0.975])
         assert high - low == pytest.approx(2 * robust.coverage_factor * u, rel=0.15)
-    assert draws_of(wide, "kd[c]").std() > 3 * draws_of(plain, "kd[c]").std()
-    np.testing.assert_array_equal(draws_of(wide, "noise_floor[c]"), draws_of(plain, "noise_floor[c]"))
+    assert draws_of(wide, "kd[value]").std() > 3 * draws_of(plain, "kd[value]").std()
+    np.testing.assert_array_equal(draws_of(wide, "noise_floor[value]"), draws_of(plain, "noise_floor[value]"))
 
 
 def test_rescaled_draws_keep_to_their_range_and_to_what_is_stated():

@@ -98,8 +98,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     if out is not None:
         posterior.save(out)
     if posterior.status != "converged":
-        screen.note(f"not converged: {posterior.message}")
-    if kept is not None and posterior.status == "converged":
+        screen.note(f"{posterior.status.replace('_', ' ')}: {posterior.message}")
+    if kept is not None and posterior.status != "not_converged":
         shutil.rmtree(kept)
     elif kept is not None:
         screen.note(f"the same command with a larger --budget-seconds goes on from {kept}")
