@@ -106,6 +106,7 @@ class Runner:
             state = self._failed(job, Outcome(problem=internal()))
         else:
             state = self._finish(job, outcome)
+        self._worker.forget(job)
         self._metrics.job(job.kind, state, time.monotonic() - begun)
 
     def _finish(self, job: JobRow, outcome: Outcome) -> str:

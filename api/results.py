@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,17 @@ class Results:
 
     def write_report(self, id: str, kind: str, content: bytes) -> None:
         write_bytes(content, self._folder / f"{id}.report.{kind}")
+
+    def checkpoint(self, job: str) -> Path:
+        """The folder in which a job keeps what it has done, for the attempt after this one."""
+        return self._folder.parent / "checkpoints" / job
+
+    def drop_checkpoint(self, job: str) -> None:
+        shutil.rmtree(self.checkpoint(job), ignore_errors=True)
+
+    def checkpoints(self) -> list[str]:
+        """The jobs that left one."""
+        return [path.name for path in self.checkpoint("").glob("*")]
 
     def _path(self, id: str) -> Path:
         return self._folder / f"{id}.json"

@@ -14,7 +14,7 @@ from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
 from api.problems import Problem
 from api.results import Results
-from api.rows import JobRow
+from api.rows import QUEUED, JobRow
 from api.settings import Settings
 from api.store import Missing, QueueFull, Store
 from api.tables import OpenTables
@@ -49,6 +49,10 @@ class Service:
         again = self.store.recover(self.settings.max_attempts, EXHAUSTED)
         if again:
             _log.warning("%d job(s) of a server that died wait again", again)
+        for id in self.results.checkpoints():
+            job = self.store.get(JobRow, id)
+            if job is None or job.state != QUEUED:
+                self.results.drop_checkpoint(id)
         self._runner.start()
 
     def stop(self) -> None:

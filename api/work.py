@@ -12,7 +12,7 @@ from api.results import Results
 from api.rows import JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
 from api.store import Store, new_id
 from api.tables import OpenTables
-from fitter.errors import FitterError
+from fitter.errors import FitterError, SpecError
 from fitter.progress import Cancelled, Progress
 from fitter.spec import fit_spec, posterior_spec, selection_spec, tradeoff_spec
 
@@ -53,6 +53,10 @@ class Worker:
         """Delete the files of an outcome that was not published."""
         for row in outcome.rows:
             self._results.drop(row.id)
+
+    def forget(self, job: JobRow) -> None:
+        """Delete what a job that has ended kept for another attempt."""
+        self._results.drop_checkpoint(job.id)
 
     def _fit(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
         if "selection" in job.request:
@@ -109,7 +113,15 @@ class Worker:
 
         fit_id = str(job.request["fit"])
         fit = FitResult.from_dict(self._results.read(fit_id))
-        posterior = sample(table, fit, posterior_spec(job.request["spec"]), progress=progress)
+        spec, kept = posterior_spec(job.request["spec"]), self._results.checkpoint(job.id)
+        try:
+            posterior = sample(table, fit, spec, checkpoint=kept, progress=progress)
+        except SpecError as error:
+            if not error.code.startswith("checkpoint-"):
+                raise
+            # Of a server with other versions, or cut off by a full disk: nothing to hold against the job.
+            self._results.drop_checkpoint(job.id)
+            posterior = sample(table, fit, spec, checkpoint=kept, progress=progress)
         id = new_id()
         self._results.write(id, posterior.to_dict())
         summary = {"status": posterior.status, "message": posterior.message, "seconds": posterior.seconds}

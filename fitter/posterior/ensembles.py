@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import emcee
 import numpy as np
+from emcee.state import State
 from numpy.typing import NDArray
 
 from fitter.errors import FitError
@@ -15,8 +16,9 @@ from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import LOG_FLOOR
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
-from fitter.posterior.density import Density
-from fitter.posterior.moves import mixture
+from fitter.posterior.density import Data, Density, Noise
+from fitter.posterior.moves import IndependenceMove, mixture
+from fitter.posterior.offsets import ANGLES, FARTHEST, tangents
 from fitter.spec import PosteriorSpec
 
 FloatArray = NDArray[np.float64]
@@ -25,66 +27,131 @@ LARGEST_NOISE = 3.0
 #: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
 #: between the samples can have any strength: without a bound its posterior is not proper.
 LARGEST_SCALE = 100.0
+#: A relative misfit below this is rounding: a likelihood with inferred noise would have no largest value.
+ROUNDING = 1e-9
+#: Walkers of an ensemble, at least. R-hat over all walkers asks each of them for a hundred independent draws,
+#: so that more walkers cost more; differential evolution needs twice the dimension to see all directions.
+FEWEST_WALKERS = 12
+#: Steps of the rounds after which the proposals are fitted to the walkers; all of them are discarded. They
+#: end with the first round whose second half accepts this share of the independence proposals.
+TUNING, ACCEPTED = (50, 50, 100, 200), 0.6
+
+
+class Segment(NamedTuple):
+    """Consecutive steps: chain (steps, E W, P), and the walkers and the random state at their end."""
+
+    chain: FloatArray
+    log_density: FloatArray
+    accepted: float
+    random: tuple[NDArray[np.uint32], int, int, float]
+
+
+class Proposal(NamedTuple):
+    """Normal that independence proposals come from: mean (P,), covariance (P, P); and the walkers (E W, P)
+    that start with it."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    walkers: FloatArray
 
 
 @dataclass
 class Ensembles:
-    """The density and labels of a group, and its independent emcee ensembles as they grow."""
+    """The density and labels of a group, and its independent ensembles as they grow, segment by segment.
+
+    count : of ensembles; their walkers lie behind each other in one emcee sampler.
+    """
 
     density: Density
     labels: list[str]
     logs: NDArray[np.bool_]
     units: FloatArray
-    starts: list[FloatArray]
-    seeds: np.random.SeedSequence
-    samplers: list[emcee.EnsembleSampler]
+    count: int
+    seed: np.random.SeedSequence
+    proposal: Proposal
+    segments: list[Segment] = field(default_factory=list[Segment])
+    tuning: int = 0
 
-    def renew(self, mean: FloatArray, covariance: FloatArray) -> None:
-        """New samplers with proposals of this mean and covariance, each with its own random state."""
-        self.samplers = []
-        for seed in self.seeds.spawn(len(self.starts)):
-            sampler = emcee.EnsembleSampler(
-                len(self.starts[0]), self.density.size, self.density, vectorize=True,
-                moves=mixture(mean, covariance),
-            )  # fmt: skip
-            state = np.random.RandomState(seed.generate_state(8))
-            sampler.random_state = state.get_state()
-            self.samplers.append(sampler)
+    @property
+    def steps(self) -> int:
+        """Steps since the tuning."""
+        return sum(len(segment.chain) for segment in self.segments)
 
-    def advance(self, steps: int) -> None:
-        """Every ensemble by ``steps``; the compiled density releases the GIL, so threads help."""
+    @property
+    def acceptance(self) -> float:
+        return sum(s.accepted * len(s.chain) for s in self.segments) / self.steps
 
-        def one(k: int) -> FloatArray:
-            state = self.samplers[k].run_mcmc(self.starts[k], steps, progress=False)
+    def tune(self) -> None:
+        """Run, then fit the proposals to where the walkers are, until they are accepted: a posterior is
+        seldom its own Laplace approximation."""
+        log_density = None
+        for steps in TUNING:
+            sampler, independence = self._sampler()
+            random = np.random.RandomState(self.seed.spawn(1)[0].generate_state(8))
+            sampler.random_state = random.get_state()
+            state = State(self.proposal.walkers, log_prob=log_density)
+            state = sampler.run_mcmc(state, steps // 2, skip_initial_state_check=True)
+            independence.tried = independence.accepted = 0
             assert state is not None
-            return np.asarray(state.coords)
+            state = sampler.run_mcmc(State(state), steps - steps // 2, skip_initial_state_check=True)
+            assert state is not None
+            log_density = np.asarray(state.log_prob)
+            seen = _chain(sampler)[steps // 2 :].reshape(-1, self.density.size)
+            covariance = np.cov(seen.T).reshape(self.density.size, -1)
+            covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
+            self.proposal = Proposal(seen.mean(axis=0), covariance, np.asarray(state.coords))
+            self.tuning += steps
+            if independence.accepted >= ACCEPTED * independence.tried:
+                break
 
-        with ThreadPoolExecutor(len(self.samplers)) as pool:
-            self.starts = list(pool.map(one, range(len(self.samplers))))
+    def advance(self, steps: int) -> Segment:
+        """A segment more, the same whether those before it were run or read."""
+        sampler, _ = self._sampler()
+        if self.segments:
+            last = self.segments[-1]
+            state = State(last.chain[-1].copy(), log_prob=last.log_density.copy())
+            sampler.random_state = ("MT19937", *last.random)
+        else:
+            state = State(self.proposal.walkers.copy())
+            random = np.random.RandomState(self.seed.generate_state(8))
+            sampler.random_state = random.get_state()
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+        assert state is not None
+        _, keys, position, has_normal, normal = sampler.random_state
+        segment = Segment(
+            _chain(sampler), np.asarray(state.log_prob), float(np.mean(sampler.acceptance_fraction)),
+            (np.asarray(keys, np.uint32), int(position), int(has_normal), float(normal)),
+        )  # fmt: skip
+        self.segments.append(segment)
+        return segment
 
-    def tune(self, steps: int) -> None:
-        """Run, then fit the proposals to where the walkers are: a posterior is seldom its own Laplace."""
-        self.advance(steps)
-        seen = np.concatenate([_chain(s)[steps // 2 :].reshape(-1, self.density.size) for s in self.samplers])
-        covariance = np.cov(seen.T).reshape(self.density.size, -1)
-        covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
-        self.renew(seen.mean(axis=0), covariance)
+    def _sampler(self) -> tuple[emcee.EnsembleSampler, IndependenceMove]:
+        mean, covariance, _ = self.proposal
+        moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
+        sampler = emcee.EnsembleSampler(
+            len(self.proposal.walkers), self.density.size, self.density, vectorize=True, moves=moves
+        )
+        first = moves[0][0]
+        assert isinstance(first, IndependenceMove)
+        return sampler, first
 
     def natural(self, y: FloatArray) -> FloatArray:
         """The parameters in their own units from the model's coordinates, both (..., P)."""
         return np.where(self.logs, np.exp(np.where(self.logs, y, 0.0)), y * self.units)
 
-    def chains(self) -> FloatArray:
-        """(walkers of all ensembles, steps, P) in the model's coordinates, the first half discarded."""
-        kept = [_chain(s)[s.iteration // 2 :].transpose(1, 0, 2) for s in self.samplers]
-        return self.density.folded(np.concatenate(kept))
+    def chains(self, discarded: int, steps: int) -> FloatArray:
+        """(walkers of all ensembles, steps - discarded, P) in the model's coordinates."""
+        whole = np.concatenate([segment.chain for segment in self.segments])
+        return whole[discarded:steps].transpose(1, 0, 2)
 
 
 def start(
     places: Layout, fit: FitResult, data: Usable, index: NDArray[np.intp], group: Sequence[int],
-    kind: str, request: PosteriorSpec, rng: np.random.Generator,
+    kind: str, request: PosteriorSpec, angles: FloatArray, rng: np.random.Generator,
 ) -> Ensembles:  # fmt: skip
     """Ensembles for the channels ``group`` of the samples ``index``, around the mode near the fit.
+
+    angles : (2 or 3,) standard uncertainties in radians of the instrument's angles; none, no offsets.
 
     Raises FitError where there are fewer values than parameters or the likelihood is not finite.
     """
@@ -117,6 +184,12 @@ def start(
         high.append(upper[entry])
         units.append(1.0)
     if sigma is None:
+        if fit.metrics["relative_rmse"] < ROUNDING:
+            raise FitError(
+                "the residuals are rounding: there is no noise to infer", code="no-noise",
+                cause="a table of computed values, or of a single one", parameter="noise",
+                remedy="give the table's standard uncertainties",
+            )  # fmt: skip
         misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
         guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)] / unit))
         for what, guess in guesses:
@@ -125,16 +198,33 @@ def start(
             labels += [f"{what}[{names[k]}]" for k in group]
             low += [0.0] * c
             high += [np.inf if what == "noise_floor" else LARGEST_NOISE] * c
-    if value.size < len(x):
+    tangent = None
+    if len(angles):
+        tangent = tangents(data.pair[:, index], signed=data.table.domain.in_plane)
+        x += [0.0] * len(angles)
+        units += list(angles)
+        labels += [f"{name}_offset" for name in ANGLES[: len(angles)]]
+        low += [-FARTHEST] * len(angles)
+        high += [FARTHEST] * len(angles)
+    if value.size < len(x) - len(angles):
         raise FitError(
             f"{value.size} usable values can't determine {len(x)} parameters", code="too-few-samples",
             remedy="measure more geometries, fix parameters, or use a simpler model",
         )  # fmt: skip
     logs = np.zeros(len(x), bool)
     logs[len(linear) * c :][: len(places.entries)] = [places.logs[k] for k, _ in places.entries]
+    walkers = request.walkers or max(FEWEST_WALKERS, 2 * len(x))
     density = Density(
-        places, np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
-        None if sigma is None else np.ascontiguousarray(sigma.T), np.array(low), np.array(high),
+        places,
+        Data(
+            np.ascontiguousarray(data.pair[:, index]), np.ascontiguousarray(value.T),
+            None if sigma is None else np.ascontiguousarray(sigma.T), tangent,
+            angles if len(angles) else None,
+        ),
+        np.array(low), np.array(high), None,
+        Noise(request.degrees_of_freedom if request.likelihood == "student_t" else None, len(angles)),
+        # Two parts of half of all walkers: a length for both kinds of moves, and work for two cores.
+        max(1, -(-request.ensembles * walkers // 4)),
     )  # fmt: skip
     try:
         mode, covariance = density.mode(np.clip(np.array(x), density.lower, density.upper))
@@ -150,17 +240,15 @@ def start(
             remedy="check sigma and the units of the values",
         )  # fmt: skip
     density = replace(density, centre=mode)
-    walkers = request.walkers or max(32, 2 * (len(x) + 1))
     # At about twice the Laplace spread: closer starts hide what the ensemble has not found.
     spread = 2.0 * np.linalg.cholesky(covariance)
-    starts = [mode + rng.standard_normal((walkers, len(x))) @ spread.T for _ in range(request.ensembles)]
-    starts = [np.where(density.within(w)[:, None], w, density.folded(w)) for w in starts]
-    seeds = np.random.SeedSequence(int(rng.integers(2**63)))
-    run = Ensembles(density, labels, logs, np.array(units), starts, seeds, [])
-    run.renew(mode, covariance)
-    return run
+    starts = mode + rng.standard_normal((request.ensembles * walkers, len(x))) @ spread.T
+    starts = density.folded(starts)
+    seed = np.random.SeedSequence(int(rng.integers(2**63)))
+    proposal = Proposal(mode, covariance, starts)
+    return Ensembles(density, labels, logs, np.array(units), request.ensembles, seed, proposal)
 
 
 def _chain(sampler: emcee.EnsembleSampler) -> FloatArray:
-    """(steps, walkers, P) since the sampler was made."""
+    """(steps, E W, P) since the sampler was made."""
     return np.asarray(sampler.get_chain(), np.float64)

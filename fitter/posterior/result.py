@@ -39,10 +39,15 @@ class Diagnostic:
 class Posterior:
     """Draws from the posterior of a fit's free parameters under the stated likelihood.
 
-    labels : the flat free parameters ("kd[R]", "alpha", and the noise parameters where inferred).
+    labels : the flat free parameters ("kd[R]", "alpha"), the noise parameters where inferred, and offsets of
+        the instrument's angles in radians where they are sampled.
     draws : (S, P) in the parameters' own units, thinned to about independent.
     template : the fitted model; a draw replaces its free values.
-    status : "converged" or "not_converged", and ``message`` which target was missed.
+    status : "converged"; "not_converged", and ``message`` which target was missed; "not_identified": a
+        parameter fills the range that it was allowed; "prior_conflict": one lies against the bounds of the
+        specification.
+    uncertainties : "posterior", "naive" and "robust": of each, what it is and u by label
+        (:mod:`fitter.posterior.beside`).
     history : list of {"steps", "rhat", "ess", "seconds"} as the run went on.
     """
 
@@ -59,6 +64,7 @@ class Posterior:
     history: tuple[Mapping[str, float], ...]
     cost: Mapping[str, Any]
     table: Mapping[str, Any]
+    uncertainties: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
 
     @property
@@ -92,7 +98,9 @@ class Posterior:
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[self._model(row) for row in rows])
         values = np.asarray(jax.vmap(lambda m: m.evaluate(wi, wo))(stacked))
         sigma = self._noise(rows, values)
-        drawn = values + sigma * rng.standard_normal(values.shape)
+        freedom = self.noise.get("degrees_of_freedom")
+        z = rng.standard_normal(values.shape) if freedom is None else rng.standard_t(freedom, values.shape)
+        drawn = values + sigma * z
         tail = 0.5 * (1.0 - level)
         lower, upper = np.quantile(drawn, [tail, 1.0 - tail], axis=0)
         return lower, upper
@@ -147,6 +155,7 @@ class Posterior:
             "history": [dict(h) for h in self.history],
             "cost": dict(self.cost),
             "table": dict(self.table),
+            "uncertainties": dict(self.uncertainties),
             "warnings": list(self.warnings),
         }
 
@@ -173,6 +182,7 @@ class Posterior:
                 history=tuple(document["history"]),
                 cost=document["cost"],
                 table=document["table"],
+                uncertainties=document["uncertainties"],
                 warnings=tuple(document["warnings"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from fitter import progress
 from fitter.compression import CompressedTable
 from fitter.errors import SpecError
 from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import Usable, usable
-from fitter.posterior.diagnostics import diagnose
-from fitter.posterior.ensembles import Ensembles, start
-from fitter.posterior.result import Diagnostic, Posterior
+from fitter.fitting.samples import usable
+from fitter.posterior.beside import naive
+from fitter.posterior.checkpoint import Checkpoint, digest
+from fitter.posterior.ensembles import start
+from fitter.posterior.jackknife import robust
+from fitter.posterior.looks import FIRST, look_at
+from fitter.posterior.offsets import ANGLES
+from fitter.posterior.result import Posterior
+from fitter.posterior.writeup import write_up
 from fitter.spec import PosteriorSpec, posterior_spec
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
-FIRST_STEPS = 100
-#: Steps of the rounds after which the proposals are fitted to the walkers; all of them are discarded.
-TUNING = (100, 100, 200)
+#: Steps of a segment; of large tables segments are shorter, so that all walkers together go through about
+#: this many values in one, at least a tenth of the steps.
+SEGMENT, SEGMENT_VALUES = 50, 400_000_000
 
 
 def sample(
@@ -32,6 +38,7 @@ def sample(
     fit: FitResult,
     spec: PosteriorSpec | None = None,
     *,
+    checkpoint: Path | str | None = None,
     progress: progress.Progress = progress.ignore,
     **settings: Any,
 ) -> Posterior:
@@ -41,16 +48,21 @@ def sample(
     ----------
     table, fit : the table and a fit of it (the metric of the fit plays no part: the likelihood does).
     spec, settings : a PosteriorSpec, or its fields as keywords.
+    checkpoint : a folder to keep the run in as it goes on. Where it holds the same run already, that one goes
+        on and its draws are those of a run that was never stopped; the seconds that it took count. Nothing
+        but the budget looks at the clock. The folder stays: delete it when the result is safe.
     progress : called with (share, text); may raise to stop.
 
     Returns
     -------
-    Posterior : with status "not_converged" and the missed target where the budget ended first.
+    Posterior : its ``status`` says whether its numbers mean what they say; "not_converged" and the missed
+        target where the budget ended first.
 
     Raises
     ------
-    SpecError : settings that make no sense, or noise="table" without sigma.
-    FitError : fewer values than parameters, or a likelihood that is nowhere finite.
+    SpecError : settings that make no sense, noise="table" without sigma, or a checkpoint of another run.
+    FitError : fewer values than parameters, a likelihood that is nowhere finite, or noise to be inferred from
+        residuals that are all rounding.
     """
     begun = time.perf_counter()
     if spec is not None and settings:
@@ -64,6 +76,7 @@ def sample(
             "noise 'table' needs the table's own standard uncertainty, and it states none",
             code="noise-needs-sigma", parameter="noise", remedy="use noise='inferred'",
         )  # fmt: skip
+    fit.columns_of(table)
     anisotropic = not fit.model.isotropic(fit.spec.model)
     data = usable(table, "absolute", fit.spec.select, anisotropic=anisotropic)
     places = layout(fit.spec, len(data.channels))
@@ -71,125 +84,79 @@ def sample(
     index = np.arange(len(data))
     if len(index) > request.max_samples:
         index = np.sort(rng.choice(len(data), request.max_samples, replace=False))
+    angles = _angles(table, request)
     groups = channel_groups(fit.spec, len(data.channels))
+    if len(angles):
+        # Offsets are the instrument's: channels that share nothing else share them.
+        if len(groups) > 1:
+            places = replace(places, own=(True,) * len(places.free), channels=len(groups))
+        groups = [list(range(len(data.channels)))]
+    kept = None if checkpoint is None else Checkpoint(Path(checkpoint), digest(table, fit, request))
+    if kept is not None:
+        kept.begin()
     progress(0.0, "finding the mode")
-    runs = [start(places, fit, data, index, group, kind, request, rng) for group in groups]
+    runs = [start(places, fit, data, index, group, kind, request, angles, rng) for group in groups]
+    plain = None
+    if len(angles) or request.likelihood != "gaussian":
+        plainly = request.model_copy(update={"likelihood": "gaussian"})
+        plain = naive(
+            [
+                start(layout(fit.spec, len(data.channels)), fit, data, index, group, kind, plainly,
+                      np.zeros(0), np.random.default_rng(0))
+                for group in channel_groups(fit.spec, len(data.channels))
+            ]
+        )  # fmt: skip
+    progress(0.0, "leaving out scans")
+    without_scans = robust(table, fit)
     prepared = time.perf_counter()
 
-    for steps in TUNING:
-        progress(0.01, "tuning the proposals")
+    spent = None if kept is None else kept.restore(runs)
+    if spent is None:
+        spent = 0.0
         for run in runs:
-            run.tune(steps)
+            progress(0.01, "tuning the proposals")
+            run.tune()
+        if kept is not None:
+            kept.tuned(runs, time.perf_counter() - begun)
     tuned = time.perf_counter()
 
+    values = len(index) * sum(len(group) for group in groups) * len(runs[0].proposal.walkers)
+    segment = int(np.clip(SEGMENT_VALUES // max(1, values), SEGMENT // 10, SEGMENT))
     history: list[dict[str, float]] = []
-    steps = FIRST_STEPS
+    wanted, resumed = FIRST, runs[0].steps
     while True:
-        share = min(0.99, (time.perf_counter() - begun) / request.budget_seconds)
-        progress(share, f"sampling: {runs[0].samplers[0].iteration} steps")
-        for run in runs:
-            run.advance(steps)
-        found = [diagnose(run.chains()) for run in runs]
-        every = [d for group in found for d in group]
-        rhat = max(d.rhat for d in every)
-        ess = min(min(d.ess_bulk, d.ess_tail) for d in every)
-        seconds = time.perf_counter() - begun
+        while runs[0].steps < wanted:
+            seconds = spent + time.perf_counter() - begun
+            if seconds > request.budget_seconds and runs[0].steps:
+                break
+            progress(min(0.99, seconds / request.budget_seconds), f"sampling: {runs[0].steps} steps")
+            for run in runs:
+                run.advance(segment)
+            if kept is not None:
+                kept.extend(runs, spent + time.perf_counter() - begun)
+        look = look_at(runs, request, min(wanted, runs[0].steps))
+        seconds = spent + time.perf_counter() - begun
         history.append(
-            {
-                "steps": float(runs[0].samplers[0].iteration), "rhat": rhat, "ess": ess, "seconds": seconds,
-            }
-        )  # fmt: skip
-        done = rhat < request.rhat and ess >= request.ess
-        per_step = (seconds - (tuned - begun)) / runs[0].samplers[0].iteration
-        left = request.budget_seconds - seconds
-        if done or left < per_step * FIRST_STEPS / 2:
+            {"steps": float(look.steps), "rhat": look.rhat, "ess": look.ess, "seconds": seconds}
+        )
+        if look.met or (seconds > request.budget_seconds and runs[0].steps <= wanted):
             break
-        # As many steps again, or what the budget still allows.
-        steps = max(FIRST_STEPS // 2, min(runs[0].samplers[0].iteration, int(left / per_step)))
+        wanted = look.next(request, segment)
     progress(1.0, "done")
     phases = {
-        "mode": prepared - begun, "tuning": tuned - prepared, "sampling": time.perf_counter() - tuned
+        "mode": prepared - begun, "tuning": tuned - prepared, "sampling": time.perf_counter() - tuned,
     }  # fmt: skip
-    return _posterior(table, fit, request, runs, found, history, done, kind, data, len(index), phases)
-
-
-def _posterior(
-    table: Table, fit: FitResult, request: PosteriorSpec, runs: list[Ensembles],
-    found: list[list[Diagnostic]], history: list[dict[str, float]], done: bool, kind: str, data: Usable,
-    used: int, phases: dict[str, float],
-) -> Posterior:  # fmt: skip
-    rng = np.random.default_rng([request.seed, 1])
-    labels: list[str] = []
-    columns: list[FloatArray] = []
-    for run in runs:
-        flat = run.chains().reshape(-1, run.density.size)
-        # Groups are independent, so any pairing of their draws is a draw of all.
-        picked = flat[rng.choice(len(flat), request.keep, replace=len(flat) < request.keep)]
-        columns.append(run.natural(picked))
-        labels += run.labels
-    diagnostics = {
-        label: d
-        for run, group in zip(runs, found, strict=True)
-        for label, d in zip(run.labels, group, strict=True)
-    }
-    last = history[-1]
-    steps = int(last["steps"])
-    reached = f"R-hat {last['rhat']:.4f}, effective sample size {last['ess']:.0f} after {steps} steps"
-    if done:
-        message = f"converged: {reached}"
-    else:
-        message = (
-            f"not converged within {request.budget_seconds:g} s: {reached}; wanted R-hat < {request.rhat:g} "
-            f"and {request.ess} effective samples: give it more time"
-        )
-    warnings: list[str] = []
-    if used < len(data):
-        warnings.append(
-            f"conditioned on {used} of {len(data)} samples: intervals are wider than the table allows"
-        )
-    if kind == "inferred":
-        warnings.append(
-            "misfit counts as independent noise here: on real tables it is correlated, and these intervals "
-            "are too narrow by a factor of several; compare the fit's own standard uncertainties"
-        )
-    chi2 = fit.metrics.get("chi2_per_dof")
-    if kind == "table" and chi2 is not None and chi2 > 2:
-        warnings.append(
-            f"residuals exceed the stated noise (Birge ratio {np.sqrt(chi2):.1f}): the model is not exact, "
-            "and these intervals leave that out"
-        )
-    walkers = runs[0].samplers[0].nwalkers
-    return Posterior(
-        spec=request,
-        fit_spec=fit.spec,
-        template=fit.model,
-        labels=tuple(labels),
-        draws=np.concatenate(columns, axis=1),
-        noise=_noise(kind, data),
-        diagnostics=diagnostics,
-        acceptance=float(np.mean([s.acceptance_fraction for run in runs for s in run.samplers])),
-        status="converged" if done else "not_converged",
-        message=message,
-        history=tuple(history),
-        cost={
-            "seconds": sum(phases.values()),
-            "phases": phases,
-            "evaluations": int(steps * walkers * request.ensembles * len(runs)),
-            "walkers": int(walkers), "ensembles": request.ensembles, "steps": steps,
-        },
-        table={"name": table.metadata.name, "hash": table.hash, "samples": len(data), "used": used},
-        warnings=tuple(warnings),
+    if spent:
+        phases["before"] = spent
+    return write_up(
+        table, fit, request, runs, look, history, kind, data, len(index), phases, resumed, plain,
+        without_scans,
     )  # fmt: skip
 
 
-def _noise(kind: str, data: Usable) -> dict[str, Any]:
-    """The noise model in numbers: of a new measurement, where the table states its sigma, a fit to it."""
-    if kind == "inferred" or data.sigma is None:
-        return {"kind": kind}
-    variance = np.square(data.sigma).reshape(-1)
-    design = np.stack([np.square(data.value).reshape(-1), np.ones(len(variance))], axis=1)
-    weight = 1.0 / variance
-    # Weighted by 1/variance: the relative error of the variance is what should be small.
-    solved, _ = nnls(design * weight[:, None], variance * weight)
-    relative, floor = (float(np.sqrt(part)) for part in solved)
-    return {"kind": kind, "relative_noise": relative, "noise_floor": floor}
+def _angles(table: Table, request: PosteriorSpec) -> FloatArray:
+    """(2 or 3,) standard uncertainties of the instrument's angles in radians; none, no offsets."""
+    stated = table.metadata.angle_uncertainty or 0.0
+    given = request.angle_uncertainty_deg
+    width = stated if given is None else np.deg2rad(given)
+    return np.full(len(ANGLES) - table.domain.in_plane if width > 0 else 0, width)

@@ -106,7 +106,7 @@ def _against(record: Record) -> tuple[list[str], list[str]]:
         )
     caution += record["correlation"]["not_separable"]
     if posterior is not None and posterior["status"] != "converged":
-        caution.append(f"The posterior did not converge: {_stop(posterior['message'])}")
+        caution.append(f"The posterior {_ended(posterior)}: {_stop(posterior['message'])}")
     high = [row["theta_i_deg"] for row in record["reflectance"]["rows"] if row["above_one"]]
     if high:
         inside = any(row["above_one"] and not row["extrapolated"] for row in record["reflectance"]["rows"])
@@ -214,7 +214,15 @@ def _posterior(record: Record) -> str:
             f"The posterior converged ({numbers}); its 95 % intervals are credible intervals under the "
             "stated likelihood."
         )
-    return f"The posterior did not converge ({numbers}): {_stop(posterior['message'])}"
+    return f"The posterior {_ended(posterior)} ({numbers}): {_stop(posterior['message'])}"
+
+
+def _ended(posterior: Mapping[str, Any]) -> str:
+    words = {
+        "not_identified": "does not identify every parameter",
+        "prior_conflict": "is held off by the bounds it was given",
+    }
+    return words.get(posterior["status"], "did not converge")
 
 
 def _birge(record: Record) -> float | None:

@@ -55,6 +55,8 @@ class StandIn:
     def run(self, job: JobRow, progress: Progress) -> Outcome:
         return self._work(progress)
 
+    def forget(self, job: JobRow) -> None: ...
+
     def discard(self, outcome: Outcome) -> None:
         self.discarded.append(outcome)
 

@@ -101,6 +101,34 @@ def test_jobs_survive_kill(
     assert b"Traceback" not in (tmp_path / "log").read_bytes()
 
 
+def test_a_posterior_goes_on_where_the_server_was_killed(
+    start: Callable[[], Server], table_bytes: bytes, wait: Any, tmp_path: Path
+) -> None:
+    first = start()
+    first.ready()
+    table = first.client.post("/v1/tables", content=table_bytes).json()["id"]
+    job = wait(first.client, first.client.post(
+        "/v1/fits", json={"table": table, "model": "oren_nayar"}
+    ).headers["location"])  # fmt: skip
+    wanted = {"fit": job["results"][0]["id"], "ess": 1_000_000, "walkers": 8, "budget_seconds": 20}
+    here = first.client.post("/v1/posteriors", json=wanted).headers["location"]
+    kept = tmp_path / "data" / "checkpoints"
+    end = time.monotonic() + 120
+    while len(list(kept.glob("*/segment-*.npz"))) < 2:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    first.end(signal.SIGKILL)
+
+    second = start()
+    second.ready()
+    done = wait(second.client, here)
+    assert (done["state"], done["attempt"]) == ("done", 2), done
+    document = second.client.get(done["results"][0]["links"]["self"]).json()
+    assert document["cost"]["resumed_at_step"] >= 100
+    assert document["cost"]["phases"]["before"] > 0
+    assert list(kept.iterdir()) == []
+
+
 def test_upload_is_cut_on_the_wire_and_a_dropped_one_leaves_nothing(
     start: Callable[[], Server], tmp_path: Path
 ) -> None:

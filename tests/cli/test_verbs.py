@@ -329,6 +329,17 @@ def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
     assert document["kind"] == "brdf-fitter/posterior"
     assert document == json.loads(out.read_bytes())
     assert (document["spec"]["seed"], document["spec"]["ess"]) == (3, 100)
+    assert [path.name for path in tmp_path.iterdir()] == ["posterior.json"]  # no checkpoint is left
+    # Too little time: what there is stays, and the same command goes on from it; another seed's does not.
+    words = ["posterior", fits / "oren_nayar.json", "--out", tmp_path / "short.json", "--json"]
+    ran = run(*words, "--budget-seconds", "1e-3")
+    assert (ran.status, ran.document["status"]) == (0, "not_converged")
+    assert "goes on from" in ran.err
+    ran = run(*words, "--seed", "9")
+    assert (ran.status, ran.document["error"]["code"]) == (2, "checkpoint-other-run")
+    ran = run(*words)
+    assert (ran.status, ran.document["cost"]["resumed_at_step"]) == (0, 50)
+    assert not (tmp_path / "short.json.checkpoint").exists()
 
     folder = tmp_path / "report"
     ran = run(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 #: What each setting of a PosteriorSpec is, for --help. Its name, type, default and limits are the spec's.
 SETTINGS = {
+    "degrees_of_freedom": "of student_t, whose scale is sigma; they are given, not inferred",
+    "angle_uncertainty_deg": "standard uncertainty of the instrument's angles, whose offsets are then "
+    "sampled (default: as the table states; 0: none)",
     "ensembles": "independent ensembles of walkers",
     "walkers": "walkers in each ensemble (default: by the number of parameters)",
     "rhat": "converged when R-hat over all walkers of all ensembles is below this",
@@ -27,27 +32,49 @@ SETTINGS = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    from fitter.spec import PosteriorSpec
+    from typing import get_args
+
+    from fitter.spec import Draws, Likelihood, NoiseModel, PosteriorSpec
 
     parser.add_argument("result", metavar="RESULT.json", help="a fit that `fit` wrote or printed")
     parser.add_argument("--model", metavar="NAME", help="which fit, where the file holds several")
     parser.add_argument(
         "--table", metavar="TABLE", help="the table, where it is not where it was when fitted"
     )
-    parser.add_argument(
-        "--noise", choices=("table", "inferred"),
-        help="take the table's sigma as it is, or infer a relative noise and a floor (default: table where "
-        "it states sigma, else inferred)",
-    )  # fmt: skip
+    for name, kind, what in (
+        (
+            "noise", NoiseModel, "take the table's sigma as it is, or infer a relative noise and a floor "
+            "(default: table where it states sigma, else inferred)",
+        ),
+        ("likelihood", Likelihood, "distribution of the noise (default: gaussian)"),
+        (
+            "draws", Draws, "draws of the posterior, or these rescaled to the uncertainty that holds where "
+            "the residuals of a scan belong together (default: posterior)",
+        ),
+    ):  # fmt: skip
+        parser.add_argument(
+            f"--{name}", choices=get_args(kind), default=PosteriorSpec.model_fields[name].default, help=what
+        )
     for name, what in SETTINGS.items():
         default = PosteriorSpec.model_fields[name].default
         parser.add_argument(
-            f"--{name.replace('_', '-')}", type=float if isinstance(default, float) else int, default=default,
-            metavar="X" if isinstance(default, float) else "N",
+            f"--{name.replace('_', '-')}", type=float if _is_real(name) else int, default=default,
+            metavar="X" if _is_real(name) else "N",
             help=what + ("" if default is None else f" (default: {default:g})"),
         )  # fmt: skip
     parser.add_argument("--out", metavar="FILE", help="write the posterior, draws and all")
+    parser.add_argument(
+        "--checkpoint", metavar="DIR",
+        help="keep the run here as it goes on, and go on from here after a kill; deleted at the end, unless "
+        "the budget came before the targets (default: FILE.checkpoint where there is an --out FILE)",
+    )  # fmt: skip
     reading.add_reading_options(parser)
+
+
+def _is_real(name: str) -> bool:
+    from fitter.spec import PosteriorSpec
+
+    return "float" in str(PosteriorSpec.model_fields[name].annotation)
 
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
@@ -56,18 +83,26 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.spec import posterior_spec
 
     out = None if given.out is None else output_file(given.out)
-    spec = posterior_spec({"noise": given.noise, **{name: getattr(given, name) for name in SETTINGS}})
+    kept = None if given.checkpoint is None else Path(given.checkpoint)
+    if kept is None and out is not None:
+        kept = out.with_name(f"{out.name}.checkpoint")
+    asked = ("noise", "likelihood", "draws", *SETTINGS)
+    spec = posterior_spec({name: getattr(given, name) for name in asked})
     start_numerics(screen)
     from fitter.posterior import sample
 
     fit = load_result(given.result, given.model)
     opened = reading.table_of(fit.table, given.table, reading.reading_options(given), result=given.result)
     with screen.progress(f"posterior of {fit.spec.model.name}") as progress:
-        posterior = sample(opened.table, fit, spec, progress=progress)
-    if posterior.status != "converged":
-        screen.note(f"not converged: {posterior.message}")
+        posterior = sample(opened.table, fit, spec, checkpoint=kept, progress=progress)
     if out is not None:
         posterior.save(out)
+    if posterior.status != "converged":
+        screen.note(f"{posterior.status.replace('_', ' ')}: {posterior.message}")
+    if kept is not None and posterior.status != "not_converged":
+        shutil.rmtree(kept)
+    elif kept is not None:
+        screen.note(f"the same command with a larger --budget-seconds goes on from {kept}")
 
     def show(screen: Screen) -> None:
         show_posterior(posterior, screen)
@@ -84,6 +119,7 @@ def show_posterior(posterior: Posterior, screen: Screen) -> None:
         f"{posterior.template.spec.name}: {posterior.status.replace('_', ' ')} in {posterior.seconds:.2f} s, "
         f"{len(posterior.draws):,} draws kept, acceptance {posterior.acceptance:.2f}"
     )
+    beside = [name for name in ("naive", "robust") if posterior.uncertainties[name] is not None]
     rows: list[list[str]] = []
     for label, interval in posterior.intervals().items():
         row = [
@@ -91,10 +127,20 @@ def show_posterior(posterior: Posterior, screen: Screen) -> None:
             *(number(interval[key]) for key in ("median", "lower", "upper")),
             number(interval["sd"], 2),
         ]
+        for name in beside:
+            u = posterior.uncertainties[name]["u"].get(label)
+            row.append("-" if u is None else number(u, 2))
         diagnostic = posterior.diagnostics.get(label)
         row += ["-", "-"] if diagnostic is None else [f"{diagnostic.rhat:.4f}", f"{diagnostic.ess_bulk:,.0f}"]
         rows.append(row)
-    screen.table(("parameter", "median", "95 % from", "to", "sd", "R-hat", "ESS"), rows)
+    names = [f"{name} u" for name in beside]
+    screen.table(("parameter", "median", "95 % from", "to", "sd", *names, "R-hat", "ESS"), rows)
+    if posterior.spec.draws == "robust":
+        screen.line("  draws and sd are rescaled to the robust uncertainty, whose tails are Student's t")
+    for name in ("posterior", *beside):
+        words = posterior.uncertainties[name]["words"]
+        screen.line(f"  {'sd, of the posterior' if name == 'posterior' else f'{name} u'}: {words}")
+    screen.line(f"  u belongs to {posterior.uncertainties['refers_to']}")
     for warning in posterior.warnings:
         screen.line(f"  warning: {warning}")
 
