@@ -95,6 +95,8 @@ def _result(one: dict[str, Any]) -> dict[str, Any]:
         return one
     here = f"/v1/{one['kind']}s/{one['id']}"
     links = {"self": here}
+    if one["kind"] == "calibration":
+        links["picture"] = f"{here}/picture.png"
     if one["kind"] == "tradeoff":
         links |= tradeoff_links(one["id"])
     if one["kind"] == "fit":

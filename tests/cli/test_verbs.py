@@ -344,6 +344,19 @@ def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
     assert list((tmp_path / "no").iterdir()) == []
 
 
+def test_calibrate(run: Run, fits: Path, tmp_path: Path) -> None:
+    words = ["calibrate", fits / "oren_nayar.json", "--simulations", "1", "--rhat", "1.2"]
+    words += ["--max-samples", "200", "--budget-seconds", "2"]
+    ran = run(*words, "--range", "sigma=0.1,0.6", "--out", tmp_path, "--json")
+    assert ran.status == 0, ran.err
+    assert ran.document["ranges"]["sigma"] == pytest.approx([0.1, 0.6])
+    assert (tmp_path / "calibration.png").exists()
+    assert json.loads((tmp_path / "calibration.json").read_text()) == ran.document
+    refused = run(*words, "--range", "albedo=0,1", "--json")
+    assert refused.status == 2
+    assert "albedo" in refused.err
+
+
 def test_report_of_fits_of_different_tables(run: Run, fits: Path, tmp_path: Path) -> None:
     document: dict[str, Any] = json.loads((fits / "ward.json").read_bytes())
     document["table"]["hash"] = "0" * 64
