@@ -65,7 +65,7 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     return {
         "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
         "model": f"/v1/models/{row.id}", "report": f"{here}/report.html",
-        "report_json": f"{here}/report.json",
+        "report_json": f"{here}/report.json", "report_pdf": f"{here}/report.pdf",
     }  # fmt: skip
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Header, Response
 
 from api import documents, schemas
 from api.problems import Problem
@@ -19,6 +19,9 @@ from fitter.errors import SpecError
 from fitter.fitting import check
 from fitter.spec import AUTO, FitSpec, calibration_spec, fit_spec, selection_spec
 
+MEDIA: dict[Kind, str] = {
+    "pdf": "application/pdf", "html": "text/html", "json": "application/json"
+}  # fmt: skip
 router = APIRouter(prefix="/v1", tags=["fits"])
 
 
@@ -107,6 +110,39 @@ def report_json(id: str, here: Here) -> dict[str, Any]:
 def report_html(id: str, here: Here) -> Response:
     """The report as one self-contained page."""
     return _report(here, id, "html")
+
+
+@router.get(
+    "/fits/{id}/report.pdf", response_class=Response,
+    responses={
+        **problems(404, 409, 422),
+        200: {"content": {"application/pdf": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
+def report_pdf(id: str, here: Here) -> Response:
+    """The report on A4 pages."""
+    return _report(here, id, "pdf")
+
+
+@router.get(
+    "/fits/{id}/report", response_class=Response,
+    responses={
+        **problems(404, 409, 422),
+        200: {
+            "content": {
+                "application/json": {"schema": {"type": "object"}},
+                "text/html": {"schema": {"type": "string"}},
+                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
+            }
+        },
+    },
+)  # fmt: skip
+def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header()] = None) -> Response:
+    """The report as what the header `Accept` names first: a PDF, a page, or else the record."""
+    wanted = accept or ""
+    named: list[Kind] = [kind for kind, media in MEDIA.items() if media in wanted]
+    named.sort(key=lambda kind: wanted.find(MEDIA[kind]))
+    return _report(here, id, named[0] if named else "json")
 
 
 @router.get(
@@ -209,4 +245,4 @@ def start(
 
 def _report(here: Service, id: str, kind: Kind) -> Response:
     content = report(here, fit_row(here, id), kind)
-    return Response(content, media_type={"json": "application/json", "html": "text/html"}[kind])
+    return Response(content, media_type=MEDIA[kind], headers={"Vary": "Accept"})

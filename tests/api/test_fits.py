@@ -77,6 +77,14 @@ def test_auto_refuses_what_makes_no_sense(client: Any, table: str, body: dict[st
 
 def test_reports(client: Any, fit: str) -> None:
     page = client.get(f"/v1/fits/{fit}/report.html")
+    paper = client.get(f"/v1/fits/{fit}/report.pdf")
+    assert paper.headers["content-type"] == "application/pdf"
+    assert paper.content.startswith(b"%PDF-")
+    for accept, content in (
+        ("application/pdf", paper.content), ("text/html, application/pdf;q=0.5", page.content),
+        ("*/*", client.get(f"/v1/fits/{fit}/report.json").content),
+    ):  # fmt: skip
+        assert client.get(f"/v1/fits/{fit}/report", headers={"Accept": accept}).content == content
     assert page.status_code == 200, page.text
     assert page.headers["content-type"].startswith("text/html")
     assert "oren" in page.text.lower()

@@ -332,11 +332,12 @@ def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
 
     folder = tmp_path / "report"
     ran = run(
-        "report", fits / "ward.json", fits / "oren_nayar.json", "--posterior", out, "--out", folder, "--json"
+        "report", fits / "ward.json", fits / "oren_nayar.json", "--posterior", out, "--out", folder, "--json",
+        "--pdf",
     )
     assert ran.status == 0, ran.err
     assert ran.document["model"] == "oren_nayar"  # the posterior's, not the first
-    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "report.json"]
+    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "report.json", "report.pdf"]
     assert "<html" in (folder / "report.html").read_text()
     # The posterior of one model with the fit of another alone: refused.
     ran = run("report", fits / "ward.json", "--posterior", out, "--out", tmp_path / "no", "--json")
