@@ -65,7 +65,7 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     return {
         "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
         "model": f"/v1/models/{row.id}", "report": f"{here}/report.html",
-        "report_json": f"{here}/report.json",
+        "report_json": f"{here}/report.json", "report_pdf": f"{here}/report.pdf",
     }  # fmt: skip
 
 
@@ -95,6 +95,8 @@ def _result(one: dict[str, Any]) -> dict[str, Any]:
         return one
     here = f"/v1/{one['kind']}s/{one['id']}"
     links = {"self": here}
+    if one["kind"] == "calibration":
+        links["picture"] = f"{here}/picture.png"
     if one["kind"] == "tradeoff":
         links |= tradeoff_links(one["id"])
     if one["kind"] == "fit":

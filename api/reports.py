@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 from typing import Any, Literal
 
+import orjson
+
 from api.problems import Problem
 from api.rows import ModelRow, PosteriorRow, TableRow
 from api.service import Service
 from fitter.documents import dumps
 
-Kind = Literal["json", "html"]
+Kind = Literal["json", "html", "pdf"]
 
 
 def report(here: Service, row: ModelRow, kind: Kind) -> bytes:
@@ -22,10 +24,22 @@ def report(here: Service, row: ModelRow, kind: Kind) -> bytes:
     with here.report_lock:
         kept = here.results.report(name, kind)
         if kept is None:
-            _make(here, row, posterior_id, name)
+            record = here.results.report(name, "json")
+            if kind == "pdf" and record is not None:
+                # Drawn when somebody wants it: most are looked at in a browser.
+                _draw(here, name, record)
+            else:
+                _make(here, row, posterior_id, name)
+                if kind == "pdf":
+                    _draw(here, name, here.results.report(name, "json") or b"")
             kept = here.results.report(name, kind)
     assert kept is not None
     return kept
+
+
+def _draw(here: Service, name: str, record: bytes) -> None:
+    made: Any = importlib.import_module("fitter.report").Report.from_dict(orjson.loads(record))
+    here.results.write_report(name, "pdf", made.pdf())
 
 
 def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Results: one JSON document a fit, posterior or tradeoff, in files named by the row's id."""
+"""Results: one JSON document a fit, posterior, calibration or tradeoff, in files named by the row's id."""
 
 from __future__ import annotations
 

@@ -76,6 +76,16 @@ class TradeoffRow(Row):
     summary: Mapped[dict[str, Any]]
 
 
+class CalibrationRow(Row):
+    """Simulations that judge a fit's posterior."""
+
+    __tablename__ = "calibrations"
+
+    fit_id: Mapped[str] = mapped_column(String(32), index=True)
+    job_id: Mapped[str] = mapped_column(String(32))
+    summary: Mapped[dict[str, Any]]
+
+
 class PosteriorRow(Row):
     """A sampled posterior of a fit."""
 

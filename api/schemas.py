@@ -6,7 +6,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, TradeoffSpec
+from fitter.spec import CalibrationSpec, FitSpec, ModelSpec, PosteriorSpec, TradeoffSpec
 
 _T = TypeVar("_T")
 
@@ -205,6 +205,18 @@ class PosteriorRequest(PosteriorSpec):
     fit: str = Field(max_length=64, description="id of the fit")
 
 
+class CalibrationRequest(CalibrationSpec):
+    """Simulations of a finished fit's model on the directions of its table."""
+
+    model_config = ConfigDict(
+        allow_inf_nan=False,
+        json_schema_extra={"example": {"fit": _ID, "simulations": 100, "time_limit_seconds": 300}},
+    )
+
+    fit: str = Field(max_length=64, description="id of the fit")
+    simulations: Annotated[int, Field(ge=1, le=10_000)] = 200
+
+
 class TradeoffRequest(TradeoffSpec):
     """What to measure on a table: see ``TradeoffSpec``. Models are short names or specifications."""
 
@@ -232,7 +244,7 @@ class JobDocument(BaseModel):
     comparison that "auto" made."""
 
     id: str = Field(examples=[_ID])
-    kind: Literal["fit", "posterior", "tradeoff"]
+    kind: Literal["fit", "posterior", "calibration", "tradeoff"]
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     progress: Progress
     attempt: int
@@ -290,6 +302,22 @@ class PosteriorDocument(BaseModel):
     diagnostics: dict[str, Any]
     status: str
     message: str
+    links: dict[str, str]
+
+
+class CalibrationDocument(BaseModel):
+    """The whole calibration, as ``brdf-fitter calibrate --json`` prints it, with its id and links."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    kind: Literal["brdf-fitter/calibration"]
+    status: Literal["calibrated", "not_calibrated", "too_few_simulations"]
+    message: str
+    simulations: int
+    failed: int
+    labels: list[str]
+    rows: list[dict[str, Any]]
     links: dict[str, str]
 
 

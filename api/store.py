@@ -20,6 +20,7 @@ from api.rows import (
     FAILED,
     QUEUED,
     RUNNING,
+    CalibrationRow,
     JobRow,
     ModelRow,
     PosteriorRow,
@@ -213,7 +214,7 @@ class Store:
         with self.reading() as session:
             by_state = session.execute(select(JobRow.state, func.count()).group_by(JobRow.state))
             found = {"jobs": {str(state): int(count) for state, count in by_state}}
-            for kind in (TableRow, ModelRow, PosteriorRow, TradeoffRow):
+            for kind in (TableRow, ModelRow, PosteriorRow, TradeoffRow, CalibrationRow):
                 found[kind.__tablename__] = {"": session.scalar(select(func.count()).select_from(kind)) or 0}
             return found
 

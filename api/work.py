@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import fitter
 from api.problems import Problem, of_fitter_error
 from api.results import Results
-from api.rows import JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
 from api.store import Store, new_id
 from api.tables import OpenTables
 from fitter.errors import FitterError, SpecError
 from fitter.progress import Cancelled, Progress
-from fitter.spec import fit_spec, posterior_spec, selection_spec, tradeoff_spec
+from fitter.spec import calibration_spec, fit_spec, posterior_spec, selection_spec, tradeoff_spec
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -46,7 +46,10 @@ class Worker:
         if row is None:
             raise Problem.not_found("table", job.table_id)
         table = self._tables.open(row).table
-        work = {"fit": self._fit, "posterior": self._posterior, "tradeoff": self._tradeoff}
+        work = {
+            "fit": self._fit, "posterior": self._posterior, "tradeoff": self._tradeoff,
+            "calibration": self._calibration,
+        }  # fmt: skip
         return work[job.kind](job, table, progress)
 
     def discard(self, outcome: Outcome) -> None:
@@ -128,6 +131,23 @@ class Worker:
         row = PosteriorRow(id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary)
         result = {"kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status}
         return Outcome([row], [result])
+
+    def _calibration(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
+        from fitter.calibration import calibrate
+        from fitter.fitting import FitResult
+
+        fit_id = str(job.request["fit"])
+        fit = FitResult.from_dict(self._results.read(fit_id))
+        found = calibrate(table, fit, calibration_spec(job.request["spec"]), progress=progress)
+        id, picture = new_id(), found.picture("png")
+        self._results.write(id, found.to_dict())
+        self._results.write_report(id, "png", picture)
+        summary = {"status": found.status, "message": found.message, "seconds": found.seconds}
+        row = CalibrationRow(
+            id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary
+        )  # fmt: skip
+        name = fit.spec.model.name
+        return Outcome([row], [{"kind": "calibration", "model": name, "id": id, "status": found.status}])
 
     def _tradeoff(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
         from fitter.tradeoffs import tradeoff

@@ -15,6 +15,7 @@ from fitter.errors import FitError, FitterError, SpecError, TableError
 
 if TYPE_CHECKING:
     from fitter import models, posterior
+    from fitter.calibration import Calibration, calibrate, load_calibration
     from fitter.compression import CompressedTable, compress
     from fitter.fitting import FitResult, fit, load_fit
     from fitter.formats import load, load_all, write
@@ -23,20 +24,30 @@ if TYPE_CHECKING:
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
     from fitter.selection import Selection, select
-    from fitter.spec import FitSpec, ModelSpec, PosteriorSpec, SelectionSpec, TradeoffSpec
+    from fitter.spec import (
+        CalibrationSpec,
+        FitSpec,
+        ModelSpec,
+        PosteriorSpec,
+        SelectionSpec,
+        TradeoffSpec,
+    )
     from fitter.table import Channel, Grid, Metadata, Table
     from fitter.tradeoffs import Tradeoff, load_tradeoff, tradeoff
 
 __all__ = [
-    "Channel", "Check", "CompressedTable", "FitError", "FitResult", "FitSpec", "FitterError", "Grid",
-    "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec", "Samples", "Selection",
-    "SelectionSpec", "SpecError", "Table", "TableError", "TableSampler", "Tradeoff", "TradeoffSpec",
-    "__version__", "check", "compress", "fit", "load", "load_all", "load_fit", "load_tradeoff", "models",
-    "open_large", "posterior", "select", "tradeoff", "write",
+    "Calibration", "CalibrationSpec", "Channel", "Check", "CompressedTable", "FitError", "FitResult",
+    "FitSpec", "FitterError", "Grid", "LargeTable", "Metadata", "ModelSpec", "Posterior", "PosteriorSpec",
+    "Samples", "Selection", "SelectionSpec", "SpecError", "Table", "TableError", "TableSampler", "Tradeoff",
+    "TradeoffSpec", "__version__", "calibrate", "check", "compress", "fit", "load", "load_all",
+    "load_calibration", "load_fit", "load_tradeoff", "models", "open_large", "posterior", "select",
+    "tradeoff", "write",
 ]  # fmt: skip
 
 # Where each name lives (NumPy takes an eighth of a second to import, JAX about a second).
 _LAZY = {
+    "Calibration": "fitter.calibration", "calibrate": "fitter.calibration",
+    "load_calibration": "fitter.calibration", "CalibrationSpec": "fitter.spec",
     "CompressedTable": "fitter.compression", "compress": "fitter.compression",
     "FitResult": "fitter.fitting", "fit": "fitter.fitting", "load_fit": "fitter.fitting",
     "load": "fitter.formats", "load_all": "fitter.formats",
@@ -54,8 +65,8 @@ _LAZY = {
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
-    "compression", "datasets", "directions", "fitting", "formats", "models", "posterior", "quality",
-    "report", "sampling", "selection", "spec", "table", "tradeoffs",
+    "calibration", "compression", "datasets", "directions", "fitting", "formats", "models", "posterior",
+    "quality", "report", "sampling", "selection", "spec", "table", "tradeoffs",
 )  # fmt: skip
 
 

@@ -11,10 +11,10 @@ from pydantic import BaseModel, Field, model_validator
 from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Options, model_spec, validated
 
 __all__ = [
-    "AUTO", "CANON", "FAMILIES", "OPTIONS", "Draws", "FitSpec", "Likelihood", "Metric", "ModelSpec",
-    "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select", "SelectionSpec", "Solver",
-    "TradeoffSpec", "Weighting", "canonical_json", "fit_spec", "model_spec", "posterior_spec",
-    "selection_spec", "tradeoff_spec",
+    "AUTO", "CANON", "FAMILIES", "OPTIONS", "CalibrationSpec", "Draws", "FitSpec", "Likelihood", "Metric",
+    "ModelSpec", "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select", "SelectionSpec", "Solver",
+    "TradeoffSpec", "Weighting", "calibration_spec", "canonical_json", "fit_spec", "model_spec",
+    "posterior_spec", "selection_spec", "tradeoff_spec",
 ]  # fmt: skip
 
 Metric = Literal["measurement", "absolute", "cosine", "relative", "log", "cbrt"]
@@ -151,6 +151,31 @@ class PosteriorSpec(Frozen):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
+class CalibrationSpec(Frozen):
+    """Simulations that a posterior of a model is judged by: see :mod:`fitter.calibration`.
+
+    ``around`` : truths lie within so many standard uncertainties of the fit; None takes the whole prior.
+    ``ranges`` : of truths, by name or label, instead. ``noise`` as for a posterior: the table's sigma, or a
+    relative noise and a floor that are drawn from their ``ranges`` and inferred.
+    ``draws`` : of each posterior, among which the truth has its rank. ``level`` : of the intervals whose
+    coverage is counted. ``confidence`` : with which a posterior without fault passes all tests together.
+    ``time_limit_seconds`` ends the work between two simulations.
+    """
+
+    simulations: Annotated[int, Field(ge=1, le=100_000)] = 200
+    around: Annotated[float, Field(gt=0, le=1000)] | None = 5.0
+    ranges: Mapping[str, tuple[float, float]] = Field(default_factory=dict)
+    noise: Literal["table", "inferred"] | None = None
+    draws: Annotated[int, Field(ge=19, le=9_999)] = 99
+    level: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    confidence: Annotated[float, Field(gt=0.5, lt=1)] = 0.99
+    posterior: PosteriorSpec = PosteriorSpec(
+        ensembles=2, rhat=1.05, ess=400, keep=1000, max_samples=2000, budget_seconds=60.0
+    )
+    time_limit_seconds: Annotated[float, Field(gt=0, le=604_800)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+
 def fit_spec(given: Mapping[str, Any]) -> FitSpec:
     """A FitSpec from a JSON-like mapping whose model may be a short name. Raises SpecError."""
     document = dict(given)
@@ -179,6 +204,17 @@ def tradeoff_spec(given: Mapping[str, Any]) -> TradeoffSpec:
 def posterior_spec(given: Mapping[str, Any]) -> PosteriorSpec:
     """A PosteriorSpec from a JSON-like mapping. Raises SpecError."""
     return validated(PosteriorSpec, dict(given))
+
+
+def calibration_spec(given: Mapping[str, Any]) -> CalibrationSpec:
+    """A CalibrationSpec from a JSON-like mapping; what its posterior leaves out keeps the calibration's
+    default. Raises SpecError."""
+    document = dict(given)
+    posterior: Any = document.get("posterior")
+    if isinstance(posterior, Mapping):
+        usual = CalibrationSpec.model_fields["posterior"].default.model_dump()
+        document["posterior"] = {**usual, **posterior}
+    return validated(CalibrationSpec, document)
 
 
 def canonical_json(spec: BaseModel) -> str:

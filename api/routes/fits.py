@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Header, Response
 
 from api import documents, schemas
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, problems
-from api.rows import JobRow, ModelRow, PosteriorRow, TableRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow
 from api.service import Here, Service
 from api.store import new_id
 from fitter.documents import dumps
 from fitter.errors import SpecError
 from fitter.fitting import check
-from fitter.spec import AUTO, FitSpec, fit_spec, selection_spec
+from fitter.spec import AUTO, FitSpec, calibration_spec, fit_spec, selection_spec
 
+MEDIA: dict[Kind, str] = {
+    "pdf": "application/pdf", "html": "text/html", "json": "application/json"
+}  # fmt: skip
 router = APIRouter(prefix="/v1", tags=["fits"])
 
 
@@ -59,14 +62,22 @@ def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dic
 )  # fmt: skip
 def start_posterior(wanted: schemas.PosteriorRequest, here: Here, response: Response) -> dict[str, Any]:
     """Sample the posterior of a finished fit. The answer is a job."""
-    row = fit_row(here, wanted.fit)
-    assert row.table_id is not None
-    if here.store.get(TableRow, row.table_id) is None:
-        raise Problem(
-            409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
-        )
+    row = _with_table(here, wanted.fit)
     spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
-    return start(here, response, "posterior", row.table_id, {"fit": row.id, "spec": spec})
+    return start(here, response, "posterior", str(row.table_id), {"fit": row.id, "spec": spec})
+
+
+@router.post(
+    "/calibrations", status_code=202, response_model=schemas.JobDocument,
+    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+)  # fmt: skip
+def start_calibration(wanted: schemas.CalibrationRequest, here: Here, response: Response) -> dict[str, Any]:
+    """Judge posteriors of a finished fit's model by simulations on its table's directions. The answer is a
+    job; a simulation takes about a second."""
+    spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
+    row = _with_table(here, wanted.fit)
+    request = {"fit": row.id, "spec": spec.model_dump(mode="json")}
+    return start(here, response, "calibration", str(row.table_id), request)
 
 
 @router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
@@ -102,6 +113,39 @@ def report_html(id: str, here: Here) -> Response:
 
 
 @router.get(
+    "/fits/{id}/report.pdf", response_class=Response,
+    responses={
+        **problems(404, 409, 422),
+        200: {"content": {"application/pdf": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
+def report_pdf(id: str, here: Here) -> Response:
+    """The report on A4 pages."""
+    return _report(here, id, "pdf")
+
+
+@router.get(
+    "/fits/{id}/report", response_class=Response,
+    responses={
+        **problems(404, 409, 422),
+        200: {
+            "content": {
+                "application/json": {"schema": {"type": "object"}},
+                "text/html": {"schema": {"type": "string"}},
+                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
+            }
+        },
+    },
+)  # fmt: skip
+def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header()] = None) -> Response:
+    """The report as what the header `Accept` names first: a PDF, a page, or else the record."""
+    wanted = accept or ""
+    named: list[Kind] = [kind for kind, media in MEDIA.items() if media in wanted]
+    named.sort(key=lambda kind: wanted.find(MEDIA[kind]))
+    return _report(here, id, named[0] if named else "json")
+
+
+@router.get(
     "/posteriors/{id}", response_model=schemas.PosteriorDocument, responses=problems(404, 422),
     tags=["posteriors"],
 )  # fmt: skip
@@ -112,6 +156,53 @@ def posterior(id: str, here: Here) -> Response:
         raise Problem.not_found("posterior", id)
     links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
     return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+
+
+@router.get(
+    "/calibrations/{id}", response_model=schemas.CalibrationDocument, responses=problems(404, 422),
+    tags=["posteriors"],
+)  # fmt: skip
+def calibration(id: str, here: Here) -> Response:
+    """The whole calibration: every rank, the tests, the verdict."""
+    row = _calibration_row(here, id)
+    self = f"/v1/calibrations/{id}"
+    links = {
+        "self": self, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}",
+        "picture": f"{self}/picture.png",
+    }  # fmt: skip
+    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+
+
+@router.get(
+    "/calibrations/{id}/picture.png", response_class=Response,
+    responses={
+        **problems(404, 422),
+        200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+    tags=["posteriors"],
+)  # fmt: skip
+def calibration_picture(id: str, here: Here) -> Response:
+    """How far the ranks' distribution functions stray from uniform, with their simultaneous bands."""
+    content = here.results.report(_calibration_row(here, id).id, "png")
+    assert content is not None  # written before the row was published
+    return Response(content, media_type="image/png")
+
+
+def _calibration_row(here: Service, id: str) -> CalibrationRow:
+    row = here.store.get(CalibrationRow, id)
+    if row is None:
+        raise Problem.not_found("calibration", id)
+    return row
+
+
+def _with_table(here: Service, id: str) -> ModelRow:
+    """The row of a fit whose table is still there. Raises Problem (404, 409)."""
+    row = fit_row(here, id)
+    if here.store.get(TableRow, row.table_id or "") is None:
+        raise Problem(
+            409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
+        )
+    return row
 
 
 def fit_row(here: Service, id: str) -> ModelRow:
@@ -154,4 +245,4 @@ def start(
 
 def _report(here: Service, id: str, kind: Kind) -> Response:
     content = report(here, fit_row(here, id), kind)
-    return Response(content, media_type={"json": "application/json", "html": "text/html"}[kind])
+    return Response(content, media_type=MEDIA[kind], headers={"Vary": "Accept"})

@@ -19,8 +19,8 @@ from fitter.errors import FitError, FitterError, SpecError
 
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
-    "info", "check", "fit", "posterior", "report", "tradeoff", "compress", "decompress", "convert", "sample",
-    "models", "datasets", "serve", "demo",
+    "info", "check", "fit", "posterior", "calibrate", "report", "tradeoff", "compress", "decompress",
+    "convert", "sample", "models", "datasets", "serve", "demo",
 )  # fmt: skip
 
 

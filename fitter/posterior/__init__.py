@@ -15,9 +15,11 @@ from fitter.posterior.jackknife import Robust, robust
 from fitter.posterior.predictive import Predictive, predictive
 from fitter.posterior.result import Diagnostic, Posterior, load_posterior
 from fitter.posterior.run import sample
+from fitter.posterior.sensitivity import offset_sensitivities
 
 __all__ = [
-    "Diagnostic", "Posterior", "Predictive", "Robust", "load_posterior", "predictive", "robust", "sample",
+    "Diagnostic", "Posterior", "Predictive", "Robust", "load_posterior", "offset_sensitivities", "predictive",
+    "robust", "sample",
 ]  # fmt: skip
 
 

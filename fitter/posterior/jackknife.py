@@ -173,7 +173,7 @@ def _group(
     _, jacobian = (np.asarray(a) for a in to_natural(places, c, p))
     found = scan_sums(places, data.metric, floor, p, block, label, max(1, scans))
     where = np.flatnonzero(free)
-    curvature, exact = _curvature(found.slopes.sum(axis=0), matrix, where)
+    curvature, exact = free_curvature(found.slopes.sum(axis=0), matrix, where)
     jacobian = jacobian[:, where]
 
     q = len(labels)
@@ -228,7 +228,7 @@ def _stated(fit: FitResult, label: str) -> bool:
     return bool(np.isfinite(fit.covariance[k, k]))
 
 
-def _curvature(exact: FloatArray, gauss_newton: FloatArray, where: IndexArray) -> tuple[FloatArray, bool]:
+def free_curvature(exact: FloatArray, gauss_newton: FloatArray, where: IndexArray) -> tuple[FloatArray, bool]:
     """The exact curvature of what is free where it is safely convex, else Gauss-Newton's; and which."""
     plain = gauss_newton[np.ix_(where, where)]
     scale = np.sqrt(np.maximum(np.diagonal(plain), 1e-300))

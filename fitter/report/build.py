@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitter.errors import SpecError
 from fitter.formats import describe
@@ -14,6 +15,7 @@ from fitter.quality import check
 from fitter.report import (
     convergence,
     parameters,
+    propagation,
     provenance,
     reflectance,
     residuals,
@@ -22,6 +24,7 @@ from fitter.report import (
     slices,
     verdict,
 )
+from fitter.report.budget import budget
 from fitter.report.clean import clean
 from fitter.report.fitted import Fitted
 from fitter.report.report import KIND, VERSION, Report
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
     from fitter.posterior.result import Posterior
     from fitter.table import Table
 
+FloatArray = NDArray[np.float64]
+
 
 def build(
     table: Table | CompressedTable,
@@ -43,6 +48,7 @@ def build(
     others: Sequence[FitResult] = (),
     without_scans: Robust | None = None,
     bands: Predictive | None = None,
+    offsets: Mapping[str, FloatArray] | None = None,
 ) -> Report:
     """The report of a fit.
 
@@ -53,6 +59,8 @@ def build(
     others : further fits of the same table, for the comparison.
     without_scans, bands : :func:`fitter.posterior.robust` and :func:`fitter.posterior.predictive` of the fit,
         or None.
+    offsets : :func:`fitter.posterior.offset_sensitivities` of the fit, or None; with them uncertainties are
+        propagated to the BRDF and the reflectance.
 
     Raises
     ------
@@ -69,6 +77,7 @@ def build(
             code="posterior-mismatch", parameter="posterior", remedy="give the posterior of this fit",
         )  # fmt: skip
     seed = fit.spec.seed
+    sources = budget(fitted, without_scans, offsets)
     record: dict[str, Any] = {
         "kind": KIND,
         "version": VERSION,
@@ -77,6 +86,8 @@ def build(
         "fit": _fit(fitted),
         "parameters": parameters.section(fitted, posterior),
         "robust": robust.section(fitted, without_scans),
+        "budget": sources.section,
+        "propagation": None if offsets is None else propagation.section(fitted, sources, posterior, seed),
         "correlation": parameters.correlation(fitted),
         "residuals": residuals.section(fitted, seed),
         "slices": slices.section(fitted, posterior, bands, seed),
@@ -102,12 +113,16 @@ def complete(
     *,
     others: Sequence[FitResult] = (),
 ) -> Report:
-    """:func:`build` with robust uncertainties and bands of new measurements, found here: a second or two."""
+    """:func:`build` with robust uncertainties, bands of new measurements and the whole budget, found here: a
+    second or two."""
     from fitter import posterior as uncertainty
 
     without = uncertainty.robust(table, fit)
     bands = uncertainty.predictive(table, fit, without, fit.spec.seed)
-    return build(table, fit, posterior, others=others, without_scans=without, bands=bands)
+    offsets = uncertainty.offset_sensitivities(table, fit)
+    return build(
+        table, fit, posterior, others=others, without_scans=without, bands=bands, offsets=offsets
+    )  # fmt: skip
 
 
 def _fit(fitted: Fitted) -> dict[str, Any]:

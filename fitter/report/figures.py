@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -34,12 +35,30 @@ SYMLOG = 4.0
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure: its data URI, what it shows in words, and its size in CSS pixels."""
+    """One figure, what it shows in words, and as what a page has it."""
 
-    uri: str
+    figure: Figure
     alt: str
-    width: int
-    height: int
+    kind: Literal["svg", "png"]
+
+    @cached_property
+    def uri(self) -> str:
+        """The figure as a data URI; in an SVG, dense layers are rasterised by their artists."""
+        stream = io.BytesIO()
+        dated = {"Date": None} if self.kind == "svg" else None
+        self.figure.savefig(stream, format=self.kind, dpi=DPI, metadata=dated)
+        media = {"svg": "image/svg+xml", "png": "image/png"}[self.kind]
+        return f"data:{media};base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
+
+    @property
+    def width(self) -> int:
+        """CSS pixels."""
+        return round(96 * self.figure.get_size_inches()[0])
+
+    @property
+    def height(self) -> int:
+        """CSS pixels."""
+        return round(96 * self.figure.get_size_inches()[1])
 
 
 def panel(title: str, x: str, y: str) -> tuple[Figure, Axes]:
@@ -79,13 +98,8 @@ def power_of_ten(value: float, position: int | None = None) -> str:
 
 
 def picture(figure: Figure, alt: str, kind: Literal["svg", "png"] = "svg") -> Picture:
-    """The figure as a data URI; in an SVG, dense layers are rasterised by their artists."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
-    text = base64.b64encode(stream.getvalue()).decode("ascii")
-    width, height = figure.get_size_inches()
-    media = {"svg": "image/svg+xml", "png": "image/png"}[kind]
-    return Picture(f"data:{media};base64,{text}", alt, round(96 * width), round(96 * height))
+    """The figure as a page has it."""
+    return Picture(figure, alt, kind)
 
 
 def plain(text: str, longest: int = 60) -> str:

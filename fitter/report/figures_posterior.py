@@ -44,6 +44,26 @@ def corner_picture(record: Record) -> Picture | None:
     )
 
 
+def joint_picture(record: Record) -> Picture | None:
+    """The joint 95 % ellipse of the two most correlated parameters inside the box of their own intervals."""
+    joint = record["budget"]["joint"] if "budget" in record else None
+    if joint is None:
+        return None
+    figure, axes = figures.panel("Joint 95 % region", joint["a"], joint["b"])
+    x, y = joint["ellipse"]
+    axes.fill(x, y, color=BLUE, alpha=0.15, linewidth=0)
+    axes.plot(x, y, color=BLUE, linewidth=1.6)
+    axes.plot(*joint["centre"], "+", color=VERMILLION, markersize=11, markeredgewidth=1.6)
+    for centre, u, line in zip(joint["centre"], joint["u"], (axes.axvline, axes.axhline), strict=True):
+        for side in (-1.96, 1.96):
+            line(centre + side * u, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
+    return picture(
+        figure,
+        f"Ellipse of the joint 95 % region of {joint['a']} and {joint['b']}; dashed lines are the ends of "
+        "each one's own 95 % interval.",
+    )
+
+
 def convergence_pictures(record: Record) -> list[Picture]:
     """R-hat and effective sample size as the run went on, each with its target."""
     section = record["posterior"]

@@ -29,6 +29,7 @@ def render(record: Mapping[str, Any]) -> str:
             slice_pictures=figures.slice_pictures(record),
             reflectance_picture=figures.reflectance_picture(record),
             correlation_picture=figures.correlation_picture(record),
+            joint_picture=figures_posterior.joint_picture(record),
             corner_picture=None if posterior is None else figures_posterior.corner_picture(record),
             convergence_pictures=[] if posterior is None else figures_posterior.convergence_pictures(record),
         )
@@ -41,7 +42,7 @@ def _environment() -> Environment:
         loader=PackageLoader("fitter.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    for function in (number, whole, share, words, facts, pretty):
+    for function in (number, whole, share, words, facts, pretty, source):
         environment.filters[function.__name__] = function
     return environment
 
@@ -66,6 +67,11 @@ def share(x: float | None) -> str:
 def words(text: str) -> str:
     """An identifier as words."""
     return text.replace("_", " ")
+
+
+def source(name: str) -> str:
+    """A source of uncertainty as a heading."""
+    return {"theta_i": "offset of θ_i", "theta_o": "offset of θ_o", "phi": "offset of φ"}.get(name, name)
 
 
 def pretty(item: Any) -> str:

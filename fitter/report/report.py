@@ -1,4 +1,4 @@
-"""Report: the record of a fit (report.json) and the page that is drawn from it (report.html)."""
+"""Report: the record of a fit (report.json) and what is drawn from it (report.html, report.pdf)."""
 
 from __future__ import annotations
 
@@ -41,12 +41,22 @@ class Report:
 
         return render(self.record)
 
-    def save(self, folder: Path | str) -> None:
-        """Write report.json and report.html into ``folder``, each aside and renamed."""
+    def pdf(self) -> bytes:
+        """The same on A4 pages; the same record gives the same bytes."""
+        from fitter.report.pdf import render
+
+        return render(self.record)
+
+    def save(self, folder: Path | str, *, pdf: bool = False) -> None:
+        """Write report.json and report.html, and where asked report.pdf, into ``folder``, each aside and
+        renamed."""
         folder = Path(folder)
         page = self.html().encode("utf-8")  # before the first file: no half report after an error
+        paper = self.pdf() if pdf else None
         write_document(self.to_dict(), folder / "report.json")
         write_bytes(page, folder / "report.html")
+        if paper is not None:
+            write_bytes(paper, folder / "report.pdf")
 
 
 def load_report(path: Path | str) -> Report:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fitter
+from fitter.calibration import Calibration
 from fitter.fitting import FitResult
 
 
@@ -76,6 +77,14 @@ def test_auto_refuses_what_makes_no_sense(client: Any, table: str, body: dict[st
 
 def test_reports(client: Any, fit: str) -> None:
     page = client.get(f"/v1/fits/{fit}/report.html")
+    paper = client.get(f"/v1/fits/{fit}/report.pdf")
+    assert paper.headers["content-type"] == "application/pdf"
+    assert paper.content.startswith(b"%PDF-")
+    for accept, content in (
+        ("application/pdf", paper.content), ("text/html, application/pdf;q=0.5", page.content),
+        ("*/*", client.get(f"/v1/fits/{fit}/report.json").content),
+    ):  # fmt: skip
+        assert client.get(f"/v1/fits/{fit}/report", headers={"Accept": accept}).content == content
     assert page.status_code == 200, page.text
     assert page.headers["content-type"].startswith("text/html")
     assert "oren" in page.text.lower()
@@ -127,6 +136,29 @@ def test_results_outlive_their_table(client: Any, table_bytes: bytes, wait: Call
     assert client.get(f"/v1/fits/{fit}").status_code == 200
     assert client.get(f"/v1/fits/{fit}/report.html").json()["code"] == "table-gone"
     assert client.post("/v1/posteriors", json={"fit": fit}).json()["code"] == "table-gone"
+
+
+def test_calibration(client: Any, fit: str, wait: Callable[..., Any]) -> None:
+    posterior = {"ess": 50, "rhat": 1.2, "keep": 300, "max_samples": 200, "budget_seconds": 2}
+    wanted = {"fit": fit, "simulations": 1, "draws": 19, "posterior": posterior}
+    answer = client.post("/v1/calibrations", json=wanted)
+    assert answer.status_code == 202, answer.text
+    job = wait(client, answer.headers["location"])
+    assert job["state"] == "done", job
+    (result,) = job["results"]
+    document = client.get(result["links"]["self"]).json()
+    assert Calibration.from_dict(document).simulations == 1
+    assert document["links"]["fit"] == f"/v1/fits/{fit}"
+    assert {"rho[R]", "rho[G]", "rho[B]", "relative_noise[R]"} <= set(document["labels"])
+    picture = client.get(result["links"]["picture"])
+    assert picture.headers["content-type"] == "image/png"
+    assert picture.content.startswith(b"\x89PNG")
+    assert client.get(f"/v1/calibrations/{'0' * 32}").status_code == 404
+    for body in ({"fit": "0" * 32}, {"fit": fit, "simulations": 0}, {"fit": fit, "around": -1}):
+        assert client.post("/v1/calibrations", json=body).status_code in (404, 422)
+    refused = client.post("/v1/calibrations", json={"fit": fit, "noise": "table", "simulations": 1})
+    problem = wait(client, refused.headers["location"])["problem"]
+    assert problem["code"] == "noise-needs-sigma"
 
 
 def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) -> None:

@@ -343,16 +343,30 @@ def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
 
     folder = tmp_path / "report"
     ran = run(
-        "report", fits / "ward.json", fits / "oren_nayar.json", "--posterior", out, "--out", folder, "--json"
+        "report", fits / "ward.json", fits / "oren_nayar.json", "--posterior", out, "--out", folder, "--json",
+        "--pdf",
     )
     assert ran.status == 0, ran.err
     assert ran.document["model"] == "oren_nayar"  # the posterior's, not the first
-    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "report.json"]
+    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "report.json", "report.pdf"]
     assert "<html" in (folder / "report.html").read_text()
     # The posterior of one model with the fit of another alone: refused.
     ran = run("report", fits / "ward.json", "--posterior", out, "--out", tmp_path / "no", "--json")
     assert (ran.status, ran.document["error"]["code"]) == (2, "which-fit")
     assert list((tmp_path / "no").iterdir()) == []
+
+
+def test_calibrate(run: Run, fits: Path, tmp_path: Path) -> None:
+    words = ["calibrate", fits / "oren_nayar.json", "--simulations", "1", "--rhat", "1.2"]
+    words += ["--max-samples", "200", "--budget-seconds", "2"]
+    ran = run(*words, "--range", "sigma=0.1,0.6", "--out", tmp_path, "--json")
+    assert ran.status == 0, ran.err
+    assert ran.document["ranges"]["sigma"] == pytest.approx([0.1, 0.6])
+    assert (tmp_path / "calibration.png").exists()
+    assert json.loads((tmp_path / "calibration.json").read_text()) == ran.document
+    refused = run(*words, "--range", "albedo=0,1", "--json")
+    assert refused.status == 2
+    assert "albedo" in refused.err
 
 
 def test_report_of_fits_of_different_tables(run: Run, fits: Path, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 from fitter.quality import check
 from fitter.report import Report, build
 from fitter.report.figures import plain
-from tests.report.conftest import MakeFit, MakePosterior, MakeTable
+from fitter.report.paper import Paper
+from tests.report.conftest import MakeFit, MakePosterior, MakeTable, strict
 
 NASTY = '<script>alert("x")</script>'
 
@@ -124,3 +125,30 @@ def test_the_quality_of_the_table_is_shown(make_table: MakeTable, make_fit: Make
     # A record of before there was such a section is still drawn.
     older = {name: part for name, part in report.record.items() if name != "quality"}
     assert 'id="quality"' not in Report.from_dict(older).html()
+
+
+def test_the_pdf_shows_the_record_and_is_the_same_each_time(
+    make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
+) -> None:
+    table = make_table((NASTY,), name=NASTY, notes=(NASTY * 40, "λ → ☃"), scale_uncertainty=0.01)
+    fit = make_fit(table, message=NASTY, warnings=("w" * 500,))
+    report = build(table, fit, make_posterior(fit), others=[fit])
+    first = report.pdf()
+    assert first == Report.from_dict(strict(report)).pdf()
+    assert first.startswith(b"%PDF-")
+    assert first.count(b"/Type /Page\n") + first.count(b"/Type /Page ") >= 4
+
+
+def test_paper_breaks_pages_and_repeats_the_head_of_a_table() -> None:
+    paper = Paper("title", "footer")
+    paper.heading("heading")
+    paper.table(["name", "number"], [[f"row {k}", str(k)] for k in range(150)])
+    paper.text("word " * 2000)
+    pages = paper._pages
+    written = [[text.get_text() for text in page.texts] for page in pages]
+    assert len(pages) >= 4
+    assert sum("name" in page for page in written) == 3
+    assert sorted(int(t) for page in written for t in page if t.isdigit()) == list(range(150))
+    assert sum(t.count("word") for page in written for t in page) == 2000
+    lowest = min(text.get_position()[1] for page in pages for text in page.texts)
+    assert lowest > 0.75 / 11.69 - 0.02

@@ -23,9 +23,9 @@ from fitter.table import Table
 from tests.report.conftest import MakeFit, MakePosterior, MakeTable, strict
 
 SECTIONS = (
-    "kind", "version", "created", "title", "fit", "parameters", "robust", "correlation", "residuals",
-    "slices", "reflectance", "posterior", "selection", "cost", "table", "quality", "comparison", "provenance",
-    "warnings", "verdict",
+    "kind", "version", "created", "title", "fit", "parameters", "robust", "budget", "propagation",
+    "correlation", "residuals", "slices", "reflectance", "posterior", "selection", "cost", "table", "quality",
+    "comparison", "provenance", "warnings", "verdict",
 )  # fmt: skip
 
 

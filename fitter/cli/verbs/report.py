@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="write DIR/report.html and DIR/report.json"
     )
+    parser.add_argument("--pdf", action="store_true", help="write DIR/report.pdf, too")
     reading.add_reading_options(parser)
 
 
@@ -62,13 +63,15 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     path = next(path for path, result in found if result is chosen)
     opened = reading.table_of(chosen.table, given.table, reading.reading_options(given), result=path)
     others = [result for result in results if result is not chosen]
-    complete(opened.table, chosen, posterior, others=others).save(out)
+    complete(opened.table, chosen, posterior, others=others).save(out, pdf=given.pdf)
     page, record = out / "report.html", out / "report.json"
+    paper = out / "report.pdf" if given.pdf else None
     document = {
         "kind": "brdf-fitter/report-written", "model": chosen.spec.model.name, "html": str(page),
-        "json": str(record),
+        "json": str(record), "pdf": None if paper is None else str(paper),
     }  # fmt: skip
-    return Outcome(document, lambda screen: screen.line(f"written: {page}, {record}"))
+    written = ", ".join(str(path) for path in (page, record, paper) if path is not None)
+    return Outcome(document, lambda screen: screen.line(f"written: {written}"))
 
 
 VERB = Verb("write a report about a fit, as one HTML page and as JSON", configure, run)
