@@ -15,12 +15,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from fitter.compression import CompressedTable
-from fitter.fitting import candidates, reduction, search_error
+from fitter.fitting import candidates, exchange, reduction, search_error
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.least_squares import TOLERANCE
 from fitter.fitting.polish import CHUNK
 from fitter.fitting.samples import ENOUGH, padded
-from fitter.spec import FitSpec, Polish
+from fitter.spec import FitSpec, Polish, Solver
 from fitter.table import Table
 
 #: What the cost model tells apart; loading is no part of a fit, and compiling is predicted by itself.
@@ -30,6 +30,8 @@ SUBSETS = (256, 1024, 4096, 16_384, 65_536)
 USUAL = 4096
 #: Starts of the dearest efforts, in units of the usual number.
 MORE = (4, 16)
+#: What exchanging lobes takes, in searches of one start. Measured: 20 to 60.
+EXCHANGES = 40
 #: Until runs say it: how much larger the error of a subset is than that of as many independent samples.
 SPREAD = 2.0
 #: What a search with the usual starts may miss, and one with fewer. Usual numbers are chosen for 99.9 %.
@@ -70,7 +72,7 @@ class Case:
 
     key: str
     places: Layout
-    solver: str
+    solver: Solver
     metric: str
     samples: int
     channels: int
@@ -158,10 +160,16 @@ class Case:
         drawn = 0 if reduced or subset == self.samples else min(self.samples, max(ENOUGH, 8 * subset))
         return {
             "prepare": float((self.samples + drawn) * self.channels),
-            "search": float((effort.starts + 4) * searched),
+            "search": float((effort.starts + 4) * searched + self._exchanges(effort)),
             "polish": float(passes * looked_at * self.channels) if full and not reduced else 0.0,
             "check": float(looked_at * self.channels),
         }
+
+    def _exchanges(self, effort: Effort) -> int:
+        """Units of work of exchanging lobes, where that is done, at most."""
+        request = effort.applied(FitSpec(model=self.places.spec, solver=self.solver))
+        done = exchange.wanted(self.places, request, self.samples, self.channels // self.groups)
+        return EXCHANGES * self.samples * self.channels if done else 0
 
     def complete(self, effort: Effort) -> bool:
         """Whether every sample is looked at."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import FitError
-from fitter.fitting import metrics, nlopt_solver, reduction, search, separable
+from fitter.fitting import exchange, metrics, nlopt_solver, reduction, search, separable
 from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout
@@ -68,6 +68,10 @@ def solve(
     # On a table of few blocks all of them go on: that costs nothing.
     limit = math.inf if len(data) <= BLOCK else NEAR * best.normal.objective
     near = [in_order(places, end.p) for end in ends if end.normal.objective <= limit]
+    evidence["exchange_gain"] = None
+    if exchange.wanted(places, request, len(data), len(group)):
+        p, evidence["exchange_gain"] = _exchanged(places, data, group, part if small else None, ends)
+        near.append(in_order(places, p))
     clock.lap("subset polish")
     full: Blocks = data.blocks(group) if complete and not small else blocks
     finish = polish if request.solver == "optimistix" else nlopt_solver.polish
@@ -113,6 +117,19 @@ def solve(
     evidence["reduced"] = reduced is not None
     examined = len(index) if reduced is None else len(data)
     return Group(end, found, estimates, evidence, examined, passes, error, chosen)
+
+
+def _exchanged(
+    places: Layout, data: Usable, group: Sequence[int], part: Block | None, ends: Sequence[Polished]
+) -> tuple[FloatArray, float]:
+    """The vector p that exchanges of lobes lead to on all samples (``part`` where that has them), and by what
+    share of itself the objective of the tangent problem fell by them."""
+    if part is None:
+        part = data.part(group, np.arange(len(data)), len(data))
+    weight = np.asarray(metrics.linearised_weight(data.metric, part.y, part.weight, data.floor[list(group)]))
+    weight = np.broadcast_to(weight, part.y.shape)
+    t = len(places.entries)
+    return exchange.improved(places, part.pair, part.y, weight, [end.p[:t] for end in ends])
 
 
 def _stand_in(

@@ -147,9 +147,10 @@ def test_fit_that_fails_says_why(run: Run, tmp_path: Path) -> None:
 
 
 def test_fit_auto_ranks_models_and_writes_the_best(run: Run, plaster: Path, tmp_path: Path) -> None:
-    words = ("fit", plaster, "--model", "auto", "--candidates", "lambert,oren_nayar")
+    words = ("fit", plaster, "--model", "auto", "--candidates", "lambert,oren_nayar", "--folds", "4")
     document = run(*words, "--out", tmp_path, "--json").document
     assert document["kind"] == "brdf-fitter/fits"
+    assert document["selection"]["folds"]["folds"] == 4
     ranking = document["selection"]["ranking"]
     assert {one["model"] for one in ranking} == {"lambert", "oren_nayar"}
     chosen = document["selection"]["chosen"]
@@ -172,6 +173,7 @@ def test_fit_auto_ranks_models_and_writes_the_best(run: Run, plaster: Path, tmp_
         ("--model", "auto", "--model", "ward"), ("--candidates", "ward"),
         ("--model", "auto", "--candidates", "x"), ("--model", "auto", "--candidates", "ward,ward"),
         ("--model", "auto", "--fixed", "alpha=0.1"),
+        ("--folds", "4"), ("--model", "auto", "--folds", "2"),
     ],
 )  # fmt: skip
 def test_fit_auto_refuses_what_makes_no_sense(run: Run, plaster: Path, words: tuple[str, ...]) -> None:

@@ -32,7 +32,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """TABLE, the models, and every setting of a FitSpec."""
     from typing import get_args
 
-    from fitter.spec import FAMILIES, FitSpec, Metric, Polish, Solver, Weighting
+    from fitter.spec import FAMILIES, FitSpec, Metric, Polish, SelectionSpec, Solver, Weighting
 
     default = {name: field.default for name, field in FitSpec.model_fields.items()}
     parser.add_argument("table", metavar="TABLE", help="a measured table, or one that `compress` wrote")
@@ -44,6 +44,11 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--candidates", type=names, metavar="NAME,...",
         help="with --model auto: compare these models only",
+    )  # fmt: skip
+    parser.add_argument(
+        "--folds", type=int, metavar="K",
+        help="with --model auto: how many parts the scans are dealt into, each held out once (default: "
+        f"{SelectionSpec.model_fields['folds'].default})",
     )  # fmt: skip
     parser.add_argument(
         "--metric", choices=get_args(Metric),
@@ -141,11 +146,12 @@ def selection(given: argparse.Namespace) -> SelectionSpec | None:
     from fitter.spec import AUTO, selection_spec
 
     if AUTO not in (given.model or ()):
-        if given.candidates is not None:
-            raise SpecError(
-                "--candidates belongs to --model auto", code="bad-call", parameter="candidates",
-                remedy="add --model auto, or name the models with --model",
-            )  # fmt: skip
+        for option in ("candidates", "folds"):
+            if getattr(given, option) is not None:
+                raise SpecError(
+                    f"--{option} belongs to --model auto", code="bad-call", parameter=option,
+                    remedy="add --model auto, or leave it out",
+                )  # fmt: skip
         return None
     if len(given.model) > 1:
         raise SpecError(
@@ -158,8 +164,9 @@ def selection(given: argparse.Namespace) -> SelectionSpec | None:
                 f"--{option.replace('_', '-')} can't go with --model auto", code="bad-call",
                 parameter=option, cause="it is for the fit of one model", remedy="name the model",
             )  # fmt: skip
+    folds = {} if given.folds is None else {"folds": given.folds}
     return selection_spec(
-        {**_common(given), "candidates": given.candidates, "budget_seconds": given.budget}
+        {**_common(given), **folds, "candidates": given.candidates, "budget_seconds": given.budget}
     )  # fmt: skip
 
 
