@@ -81,7 +81,8 @@ def test_channels_are_searched_with_the_usual_effort_only():
     assert exchange.wanted(one, both, 500, 1)
     for request, samples, channels in (
         (both, 500, 3), (both, 100_000, 1), (both.model_copy(update={"starts": 1}), 500, 1),
-        (both.model_copy(update={"subset": 256}), 500, 1), (both.model_copy(update={"solver": "nlopt"}), 500, 1),
+        (both.model_copy(update={"subset": 256}), 500, 1),
+        (both.model_copy(update={"solver": "nlopt"}), 500, 1),
     ):  # fmt: skip
         assert not exchange.wanted(one, request, samples, channels)
     fixed = FitSpec(model=model_spec("lafortune"), fixed={"gamma": 0.7})
