@@ -157,15 +157,17 @@ def residual_pictures(record: Record) -> list[Picture]:
 
 
 def map_pictures(record: Record) -> list[Picture]:
-    """Median residual over two angles, one picture per shown channel, one colour scale for all."""
+    """Median residual over two angles, one picture per pair of angles and shown channel, one colour scale for
+    all."""
     section = record["residuals"]
-    area, found = section["map"], []
+    areas, found = [section["map"], *section.get("further_maps", [])], []
     label = {name: angle["label"] for name, angle in section["angles"].items()}
     label["theta_o_signed"] = "θ_o, positive on the specular side"
-    known = np.concatenate([np.abs(_floats(m)).ravel() for m in area["median"].values()])
+    label["phi"] = "azimuth from the mirror direction φ"
+    known = np.concatenate([np.abs(_floats(m)).ravel() for area in areas for m in area["median"].values()])
     known = known[np.isfinite(known)]
     limit = float(np.clip(np.quantile(known, 0.95), 0.01, 1.0)) if len(known) else 1.0
-    for name in section["shown"]:
+    for area, name in ((area, name) for area in areas for name in section["shown"]):
         figure, axes = panel(
             f"Residual map, {name}", f"{label[area['x']]} (deg)", f"{label[area['y']]} (deg)"
         )

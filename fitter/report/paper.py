@@ -28,7 +28,7 @@ class Paper:
 
     def __init__(self, title: str, footer: str) -> None:
         self._title, self._footer = title, safe(footer)
-        self._pages: list[Figure] = []
+        self.pages: list[Figure] = []
         self._y = 0.0
         self._begin()
 
@@ -108,12 +108,12 @@ class Paper:
         stream = io.BytesIO()
         told = {"Title": self._title, "Creator": "brdf-fitter", "CreationDate": None}
         with PdfPages(stream, metadata=told) as pdf:
-            for number, page in enumerate(self._pages, start=1):
+            for number, page in enumerate(self.pages, start=1):
                 page.text(
                     MARGIN / WIDTH, 0.4 / HEIGHT, f"{self._footer}", fontsize=7, color="#666666", va="bottom"
                 )
                 page.text(
-                    1 - MARGIN / WIDTH, 0.4 / HEIGHT, f"{number} / {len(self._pages)}", fontsize=7,
+                    1 - MARGIN / WIDTH, 0.4 / HEIGHT, f"{number} / {len(self.pages)}", fontsize=7,
                     color="#666666", ha="right", va="bottom",
                 )  # fmt: skip
                 pdf.savefig(page)
@@ -121,12 +121,12 @@ class Paper:
 
     @property
     def _page(self) -> Figure:
-        return self._pages[-1]
+        return self.pages[-1]
 
     def _begin(self) -> None:
         page = Figure(figsize=(WIDTH, HEIGHT), facecolor="white", dpi=DPI)
         FigureCanvasAgg(page)
-        self._pages.append(page)
+        self.pages.append(page)
         self._y = HEIGHT - MARGIN
 
     def _room(self, height: float) -> None:

@@ -38,4 +38,5 @@ def section(fitted: Fitted) -> dict[str, Any]:
         ],
         "theta_o_measured_deg": [float(np.rad2deg(a)) for a in domain.theta_o],
         "in_plane": domain.in_plane,
+        "reciprocal": type(fitted.fit.model).reciprocal(fitted.fit.spec.model),
     }

@@ -44,8 +44,10 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
     relative = difference / scale
     angles = _angles(wi, wo)
     in_plane = fitted.table.domain.in_plane
-    x, y = ("theta_i", "theta_o_signed") if in_plane else ("theta_h", "theta_d")
-    edges_x, edges_y = _map_edges(angles[x], x), _map_edges(angles[y], y)
+    # One pair of angles leaves something out: the others show misfit that it averages away.
+    (x, y), *further = [("theta_i", "theta_o_signed"), ("theta_h", "theta_d")]
+    if not in_plane:
+        (x, y), further = further[0], [(x, y), ("phi", "theta_o")]
     sigma = fitted.sigma(index)
     names = fitted.fit.model.channels
     free = len(fitted.fit.labels) / len(names)
@@ -78,12 +80,10 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
             for name, label in ANGLES.items()
         },
         "relative": {names[c]: drawn(relative[point, c]) for c in fitted.shown},
-        "map": {
-            "x": x, "y": y, "x_edges": drawn(edges_x), "y_edges": drawn(edges_y),
-            "median": {
-                names[c]: _map(angles[x], angles[y], relative[:, c], edges_x, edges_y) for c in fitted.shown
-            },
-        },
+        "map": _one_map(angles, relative, x, y, [(c, names[c]) for c in fitted.shown]),
+        "further_maps": [
+            _one_map(angles, relative, x, y, [(c, names[c]) for c in fitted.shown]) for x, y in further
+        ],
     }  # fmt: skip
 
 
@@ -102,9 +102,28 @@ def _angles(wi: FloatArray, wo: FloatArray) -> dict[str, FloatArray]:
     theta_o, _ = directions.spherical_from_vector(wo)
     found = {
         "theta_h": theta_h, "theta_i": theta_i, "theta_o": theta_o, "theta_d": theta_d,
-        "theta_o_signed": signed_theta_o(wi, wo),
+        "theta_o_signed": signed_theta_o(wi, wo), "phi": _away(wi, wo),
     }  # fmt: skip
     return {name: np.rad2deg(angle) for name, angle in found.items()}
+
+
+def _away(wi: FloatArray, wo: FloatArray) -> FloatArray:
+    """Azimuth of ``wo`` from that of the mirror direction, 0 to pi; 0 at normal incidence."""
+    cross, along = wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0], wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1]
+    return np.where(np.hypot(wi[:, 0], wi[:, 1]) > 1e-6, np.abs(np.arctan2(cross, -along)), 0.0)
+
+
+def _one_map(
+    angles: dict[str, FloatArray], relative: FloatArray, x: str, y: str, channels: list[tuple[int, str]]
+) -> dict[str, Any]:
+    """Median residuals over two angles, by channel."""
+    edges_x, edges_y = _map_edges(angles[x], x), _map_edges(angles[y], y)
+    return {
+        "x": x, "y": y, "x_edges": drawn(edges_x), "y_edges": drawn(edges_y),
+        "median": {
+            name: _map(angles[x], angles[y], relative[:, c], edges_x, edges_y) for c, name in channels
+        },
+    }  # fmt: skip
 
 
 def _birge(standardised: FloatArray, free: float) -> float | None:

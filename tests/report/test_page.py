@@ -144,7 +144,7 @@ def test_paper_breaks_pages_and_repeats_the_head_of_a_table() -> None:
     paper.heading("heading")
     paper.table(["name", "number"], [[f"row {k}", str(k)] for k in range(150)])
     paper.text("word " * 2000)
-    pages = paper._pages
+    pages = paper.pages
     written = [[text.get_text() for text in page.texts] for page in pages]
     assert len(pages) >= 4
     assert sum("name" in page for page in written) == 3

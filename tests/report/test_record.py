@@ -386,3 +386,38 @@ def test_estimates_of_other_shapes(make_table: MakeTable, make_fit: MakeFit) -> 
     )  # fmt: skip
     rows = strict(build(table, wide))["parameters"]["rows"]
     assert [row["label"] for row in rows][-3:] == ["alpha[R]", "alpha[G]", "alpha[B]"]
+
+
+def test_maps_of_every_pair_of_angles_hold_the_residuals(
+    make_table: MakeTable, make_fit: MakeFit
+) -> None:
+    for in_plane, pairs in ((True, 2), (False, 3)):
+        table = make_table(in_plane=in_plane)
+        section = strict(build(table, make_fit(table)))["residuals"]
+        maps = [section["map"], *section["further_maps"]]
+        assert len({(one["x"], one["y"]) for one in maps}) == pairs
+        for one in maps:
+            rows = np.array(one["median"]["G"], float)
+            assert rows.shape == (len(one["y_edges"]) - 1, len(one["x_edges"]) - 1)
+            assert np.isfinite(rows).any()
+    # Azimuths 100, 140 and 180 degrees from the light: 80, 40 and 0 from the mirror direction.
+    phi = maps[2]
+    assert (phi["x"], phi["y"]) == ("phi", "theta_o")
+    seen = np.isfinite(np.array(phi["median"]["G"], float)).any(axis=0)
+    middle = 0.5 * (np.array(phi["x_edges"])[1:] + np.array(phi["x_edges"])[:-1])
+    wide = np.diff(phi["x_edges"]).max()
+    for at in (0.0, 40.0, 80.0):
+        assert np.abs(middle[seen] - at).min() <= wide
+
+
+def test_what_more_time_would_buy(
+    make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
+) -> None:
+    table = make_table()
+    fit = make_fit(table)
+    half, now, ten = strict(build(table, fit, make_posterior(fit)))["posterior"]["time"]
+    assert (half["ess"], now["ess"], ten["ess"]) == (700.0, 1400.0, 14_000.0)
+    # Against simulated normal draws: the spread of estimated standard deviations and of 2.5 % quantiles.
+    draws = np.random.default_rng(0).standard_normal((2000, 1400))
+    assert now["error_of_deviation"] == pytest.approx(draws.std(axis=1).std(), rel=0.1)
+    assert now["error_of_end"] == pytest.approx(np.quantile(draws, 0.025, axis=1).std(), rel=0.1)
