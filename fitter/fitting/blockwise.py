@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.fitting import beam, candidates, separable
+from fitter.fitting.chunks import CHUNK
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import in_order
-from fitter.fitting.polish import CHUNK, polish
+from fitter.fitting.polish import polish
 from fitter.fitting.samples import Block
 
 FloatArray = NDArray[np.float64]

@@ -21,7 +21,8 @@ from fitter.fitting import separable
 from fitter.fitting.candidates import sobol
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import azimuths
-from fitter.fitting.polish import Normal, Scores, bounds
+from fitter.fitting.polish import Normal, bounds
+from fitter.fitting.sums import Scores
 
 FloatArray = NDArray[np.float64]
 #: A direction whose scaled curvature is below this share of the largest is not identified.
@@ -57,7 +58,7 @@ def natural(
 ) -> Natural:  # fmt: skip
     """Estimates and covariance of one group from the vector p and its normal equations.
 
-    scores : of the samples, see :func:`fitter.fitting.polish.scores`.
+    scores : of the samples, see :func:`fitter.fitting.sums.scores`.
     likelihood : whether the metric is the likelihood; the sandwich is used where it is not.
     """
     t, c = len(layout.entries), len(channels)

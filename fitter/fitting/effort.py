@@ -16,9 +16,9 @@ import numpy as np
 
 from fitter.compression import CompressedTable
 from fitter.fitting import candidates, exchange, reduction, search_error
+from fitter.fitting.chunks import CHUNK
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.least_squares import TOLERANCE
-from fitter.fitting.polish import CHUNK
 from fitter.fitting.samples import ENOUGH, padded
 from fitter.spec import FitSpec, Polish, Solver
 from fitter.table import Table

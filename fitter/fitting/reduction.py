@@ -23,9 +23,9 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
-from fitter.fitting.polish import CHUNK, Arrays, arrays, over_blocks
 from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
 from fitter.models.pair import Pair
 from fitter.models.span import Span

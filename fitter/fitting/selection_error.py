@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from fitter.fitting.covariance import natural
 from fitter.fitting.layout import Layout
-from fitter.fitting.polish import Polished, Scores
+from fitter.fitting.polish import Polished
+from fitter.fitting.sums import Scores
 
 FloatArray = NDArray[np.float64]
 

@@ -17,9 +17,10 @@ from fitter._version import __version__
 from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import Natural
 from fitter.fitting.energy import LargestAlbedo, largest_albedo
-from fitter.fitting.polish import Errors, Polished
+from fitter.fitting.polish import Polished
 from fitter.fitting.result import Estimate, FitResult
 from fitter.fitting.samples import Usable
+from fitter.fitting.sums import Errors
 from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric
 from fitter.table import Table

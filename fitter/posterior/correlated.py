@@ -15,8 +15,8 @@ from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
 from fitter.fitting.layout import Layout
-from fitter.fitting.polish import sample_scores
 from fitter.fitting.samples import Block
+from fitter.fitting.sums import sample_scores
 from fitter.quality.measured import features
 from fitter.spec import Metric
 

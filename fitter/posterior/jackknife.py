@@ -22,11 +22,13 @@ from scipy import stats
 from fitter.compression import CompressedTable
 from fitter.documents import finite_or_none
 from fitter.fitting import metrics
+from fitter.fitting.chunks import CHUNK
 from fitter.fitting.covariance import settled, to_natural
 from fitter.fitting.layout import Layout, channel_groups, layout
-from fitter.fitting.polish import CHUNK, normal_equations, scan_sums
+from fitter.fitting.polish import normal_equations
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import BLOCK, Usable, padded, usable
+from fitter.fitting.sums import scan_sums
 from fitter.posterior.correlated import correlated_outer
 from fitter.selection.blocks import blocks
 from fitter.table import Table

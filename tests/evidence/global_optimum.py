@@ -7,8 +7,9 @@ noise is stated, so that the objective is chi-square.
 
 The reference shares no search with the fit. Of one or two nonlinear parameters it scans the reduced objective
 on a grid over their whole range (512 nodes; 64 x 64) and descends from every local minimum of the grid that
-is within reach; of more it solves the best distinct of 4,096 candidates, and some of the plain ones, on up to
-1,024 samples, and takes the best ends to all samples. Both descend from the truth as well.
+is within reach, of Lafortune's lobe also from peaks at the samples that stand out most; of more it solves
+the best distinct of 4,096 candidates, and some of the plain ones, on up to 1,024 samples, and takes the best
+ends to all samples. Both descend from the truth as well.
 
 ``EVIDENCE_RESUME`` names a folder where finished problems are kept, so that a run can be interrupted. They
 are those of the code that ran them: empty it when the code changes.

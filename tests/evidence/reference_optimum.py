@@ -26,6 +26,8 @@ NODES = {1: 512, 2: 64}
 CANDIDATES, STARTS, STEPS, PART = 4096, 200, 30, 1024
 #: Ends, or minima of the grid, that go on to all samples.
 ENDS = 12
+#: Samples of which the brightest lobe is tried that has its peak there.
+PEAKS = 100
 EPS = 1e-12
 
 
@@ -85,6 +87,8 @@ def chi_square(places: Layout, table: Table, truth: FloatArray, seed: int) -> fl
     whole = _padded(pair, y, w)
     t = len(places.free)
     found = _scanned(places, whole) if t in NODES else _solved(places, pair, y, w, seed)
+    if places.spec.family == "lafortune" and t == 2:
+        found = np.concatenate([found, _peaks(places, pair, y, w)])
     starts = np.concatenate([np.clip(truth, *places.box)[None], found])
     gram, rhs = (np.asarray(a) for a in _normal(places, jnp.asarray(starts), *whole))
     gain, b = _least(gram, rhs)
@@ -129,6 +133,15 @@ def _scanned(places: Layout, data: tuple[FloatArray, FloatArray, FloatArray]) ->
             lowest &= centre >= field[tuple(slice(s, s + NODES[t]) for s in shift)]
     chosen = np.flatnonzero(lowest)
     return nodes[chosen[np.argsort(-gain[chosen], kind="stable")][: 4 * ENDS]]
+
+
+def _peaks(places: Layout, pair: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
+    """(S, T) cosine lobes whose peak over gamma is at a sample that stands out above a constant."""
+    constant = float((w * w) @ y / (w @ w))
+    index = np.argsort(-w * (y - constant))[:PEAKS]
+    gamma = -np.arctan2(pair[0] * pair[3] + pair[1] * pair[4], pair[2] * pair[5])[index]
+    found = np.stack(np.meshgrid(gamma, np.log([1e2, 1e3, 1e4, 1e5]), indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.clip(found[:, [places.free.index("gamma"), places.free.index("n")]], *places.box)
 
 
 def _solved(places: Layout, pair: FloatArray, y: FloatArray, w: FloatArray, seed: int) -> FloatArray:

@@ -1,0 +1,119 @@
+"""Samples by chunks: values, residuals and derivatives of one, and all blocks on threads.
+
+The vector is p = [u (T,), inner (M, C) flattened], see :class:`Layout`.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter.fitting import metrics, separable
+from fitter.fitting.layout import Layout
+from fitter.fitting.samples import Block, Blocks
+from fitter.spec import Metric
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+#: pair, y, goal, weight of a block.
+Column = Array | FloatArray
+Arrays = tuple[Column, Column, Column, Column]
+CHUNK = 2_048
+
+
+def chunk(block: Arrays, index: Array) -> tuple[Array, Array, Array, Array]:
+    """The samples of one chunk: pair (6, n), y, goal (n, C), weight (n, C) or (n, 1)."""
+    def part(column: Column, axis: int = 0) -> Array:
+        return jax.lax.dynamic_slice_in_dim(jnp.asarray(column), index * CHUNK, CHUNK, axis)
+
+    return part(block[0], 1), part(block[1]), part(block[2]), part(block[3])
+
+
+def residual(metric: Metric, f: Array, goal: Array, w: Array, floor: Array) -> tuple[Array, Array]:
+    """The metric's residuals and slopes (C, n) of values f (C, n), 0 where the weight is.
+
+    Channels first: three to a row are no length for the processor's vectors.
+    """
+    r = metrics.residual(metric, f, goal, w, floor[:, None])
+    used = w != 0
+    return jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
+
+
+def with_slopes(layout: Layout, u: Array, pair: Array) -> tuple[Array, Array]:
+    """Terms (K, n) at pairs (6, n) and their derivatives (T, K, n) by u (T,), by linearising once: pushing
+    every direction through the whole program takes twice as long."""
+    terms, along = jax.linearize(lambda u_: layout.terms(u_, pair), u)
+    return terms, jax.vmap(along)(jnp.eye(len(u))) if len(u) else jnp.zeros((0, *terms.shape))
+
+
+def values_and_columns(
+    layout: Layout, u: Array, inner: Array, pair: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """The values (n, C) at pairs (6, n), and what makes of slopes (C, n) the derivatives (C, F + M, n) of
+    each channel by its own F nonlinear parameters and by its M inner entries."""
+    t, alone = len(layout.free), layout.alone
+    b = layout.coefficients(u, inner)
+    local = u[layout.where] if layout.mixed else u  # (C, F), or (F,) the same for all
+    each = 0 if layout.mixed else None
+    look = functools.partial(with_slopes, alone, pair=pair)
+    terms, slopes = jax.vmap(look)(local) if layout.mixed else look(local)
+    f = separable.model(layout, terms, b)
+
+    def free(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array) -> Array:
+        return jnp.concatenate([jnp.einsum("tkn,k->tn", slopes_c, b_c), terms_c]) * slope_c
+
+    def bound(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array, v: Array, l_c: Array) -> Array:
+        by_v, by_l = jax.jacfwd(lambda v_, l_: alone.coefficients(v_, l_[:, None])[:, 0], (0, 1))(v, l_c)
+        through = jnp.einsum("kn,kt->tn", terms_c, jnp.concatenate([by_v[:, :t], by_l], axis=1))
+        return through.at[:t].add(jnp.einsum("tkn,k->tn", slopes_c, b_c)) * slope_c
+
+    def columns(slope: Array) -> Array:
+        if layout.coefficients_are_free:
+            return jax.vmap(free, in_axes=(each, each, 1, 0))(terms, slopes, b, slope)
+        return jax.vmap(bound, in_axes=(each, each, 1, 0, each, 1))(terms, slopes, b, slope, local, inner)
+
+    return f, columns
+
+
+def of_entries(layout: Layout, scores: Array) -> Array:
+    """(P, n) scores of the entries of the vector p, from those of each channel's parameters and inner entries
+    (C, F + M, n)."""
+    own, by_inner = len(layout.free), scores[:, len(layout.free) :]
+    if layout.mixed:
+        by_u = jnp.zeros((len(layout.entries), scores.shape[2])).at[layout.where].add(scores[:, :own])
+    else:
+        by_u = scores[:, :own].sum(0)
+    return jnp.concatenate([by_u, by_inner.transpose(1, 0, 2).reshape(-1, scores.shape[2])])
+
+
+def arrays(block: Block) -> Arrays:
+    """What compiled programs take of a block."""
+    return block.pair, block.y, block.goal, block.weight
+
+
+def over_blocks(work: Callable[[Block], T], blocks: Blocks) -> list[T]:
+    """``work`` of every block, on threads: compiled programs release the GIL. A block is made by the thread
+    that needs it."""
+    if isinstance(blocks, Sequence) and len(blocks) == 1:
+        return [work(blocks[0])]
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        if isinstance(blocks, Sequence):
+            return list(pool.map(lambda k: work(blocks[k]), range(len(blocks))))
+        done: list[T] = []
+        waiting: deque[Future[T]] = deque()
+        for block in blocks:
+            waiting.append(pool.submit(work, block))
+            if len(waiting) > 2 * threads:  # no more than that are held at a time
+                done.append(waiting.popleft().result())
+        return done + [one.result() for one in waiting]

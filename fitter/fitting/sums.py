@@ -1,0 +1,189 @@
+"""Sums over samples at the end of a fit: errors, outer products of scores, and both by scan.
+
+Made in chunks, as in :mod:`fitter.fitting.polish`; the vector is p = [u (T,), inner (M, C) flattened].
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from fitter.fitting import separable
+from fitter.fitting.chunks import (
+    CHUNK,
+    Arrays,
+    arrays,
+    chunk,
+    of_entries,
+    over_blocks,
+    residual,
+    values_and_columns,
+)
+from fitter.fitting.layout import Layout
+from fitter.fitting.samples import Block, Blocks
+from fitter.spec import Metric
+
+FloatArray = NDArray[np.float64]
+
+
+class Errors(NamedTuple):
+    """Sums over samples at the end of a fit: the objective, plain and relative squared errors."""
+
+    objective: float
+    squared: float
+    relative: float
+
+
+def errors(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
+) -> Errors:
+    """The errors of all blocks at the vector p, in a pass without derivatives.
+
+    The relative error of a value is that over |y| + 1 % of the typical one.
+    """
+    t = len(layout.entries)
+    u, inner = p[:t], p[t:].reshape(-1, len(floor))
+
+    def one(block: Block) -> FloatArray:
+        chunks = -(-block.count // CHUNK)
+        return np.asarray(_errors(layout, metric, u, inner, floor, arrays(block), chunks))
+
+    return Errors(*(float(total) for total in functools.reduce(np.add, over_blocks(one, blocks))))
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _errors(
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
+) -> Array:
+    def step(index: Array, total: Array) -> Array:
+        pair, *columns = chunk(block, index)
+        y, goal, w = (column.T for column in columns)
+        f = separable.model(layout, layout.terms(u, pair), layout.coefficients(u, inner)).T
+        value, _ = residual(metric, f, goal, w, floor)
+        plain = jnp.where(w != 0, f - y, 0.0)
+        relative = plain / (jnp.abs(y) + 10.0 * floor[:, None])
+        return total + jnp.stack([jnp.sum(a * a) for a in (value, plain, relative)])
+
+    return jax.lax.fori_loop(0, chunks, step, jnp.zeros(3))
+
+
+class Scores(NamedTuple):
+    """Sums over samples, or over a part of them that stands for all: outer products of the samples' scores
+    (P, P), and (M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the
+    weighted derivative x, 1 where one sample carries it all."""
+
+    outer: FloatArray
+    support: FloatArray
+
+
+def scores(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
+    step: int = 1,
+) -> Scores:  # fmt: skip
+    """The scores of the blocks' samples at the vector p; ``step`` : how many samples each stands for."""
+    t, c = len(layout.entries), len(floor)
+    u, inner = p[:t], p[t:].reshape(-1, c)
+
+    def one(block: Block) -> list[FloatArray]:
+        chunks = -(-block.count // CHUNK)
+        found = _scores(layout, metric, u, inner, floor, arrays(block), chunks)
+        return [np.asarray(part) for part in found]
+
+    outer, second, fourth = (
+        functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
+    )  # fmt: skip
+    return Scores(step * outer, step * second**2 / np.maximum(fourth, 1e-300))
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _scores(
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
+) -> tuple[Array, Array, Array]:
+    (m, c), own = inner.shape, len(layout.free)
+
+    def step(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        pair, _, goal, w = chunk(block, index)
+        f, columns = values_and_columns(layout, u, inner, pair)
+        value, slope = residual(metric, f.T, goal.T, w.T, floor)
+        x = columns(slope)  # (C, F + M, n)
+        flat = of_entries(layout, x * value[:, None, :])
+        energy = jnp.square(x[:, own:])
+        moments = (energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T)
+        return carry[0] + flat @ flat.T, carry[1] + moments[0], carry[2] + moments[1]
+
+    size = len(layout.entries) + m * c
+    zero = (jnp.zeros((size, size)), jnp.zeros((m, c)), jnp.zeros((m, c)))
+    return jax.lax.fori_loop(0, chunks, step, zero)
+
+
+def sample_scores(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, block: Block
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals (C, n) of the samples of a block at the vector p, and their derivatives (P, C, n) by it."""
+    value, slopes = (np.asarray(a) for a in _sample_scores(layout, metric, p, floor, arrays(block)))
+    return value[:, : block.count], slopes[:, :, : block.count]
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+def _sample_scores(
+    layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays
+) -> tuple[Array, Array]:
+    pair, _, goal, w = (jnp.asarray(column) for column in block)
+    t, c = len(layout.entries), floor.shape[0]
+    f, columns = values_and_columns(layout, p[:t], p[t:].reshape(-1, c), pair)
+    value, slope = residual(metric, f.T, goal.T, w.T, floor)
+    x = columns(slope)  # (C, F + M, n)
+    each = [of_entries(layout, x * (jnp.arange(c) == k)[:, None, None]) for k in range(c)]
+    return value, jnp.stack(each, axis=1)
+
+
+class ScanSums(NamedTuple):
+    """Sums over the samples of each of G scans: scores (G, P), half the gradient of the objective, and their
+    exact derivatives (G, P, P), in which the slope of the metric moves with the model."""
+
+    scores: FloatArray
+    slopes: FloatArray
+
+
+def scan_sums(
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, block: Block, label: NDArray[np.intp],
+    scans: int,
+) -> ScanSums:  # fmt: skip
+    """The sums at the vector p of the samples of a block, (n,) of which ``label`` gives the scan."""
+    padded = np.full(len(block.y), -1)
+    padded[: len(label)] = label
+    # Few counts of scans are compiled for.
+    most = -(-scans // 16) * 16
+    found = _scan_sums(layout, metric, p, floor, arrays(block), padded, -(-block.count // CHUNK), most)
+    return ScanSums(*(np.asarray(part)[:scans] for part in found))
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "metric", "scans"))
+def _scan_sums(
+    layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays, label: Array, chunks: Array,
+    scans: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    t = len(layout.entries)
+
+    def step(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        pair, _, goal, w = chunk(block, index)
+        here = jax.lax.dynamic_slice_in_dim(label, index * CHUNK, CHUNK)
+        member = (here[:, None] == jnp.arange(scans)).astype(pair.dtype)
+
+        def scores_of(p_: Array) -> tuple[Array, Array]:
+            f, columns = values_and_columns(layout, p_[:t], p_[t:].reshape(-1, floor.shape[0]), pair)
+            value, slope = residual(metric, f.T, goal.T, w.T, floor)
+            found = (of_entries(layout, columns(slope) * value[:, None, :]) @ member).T
+            return found, found
+
+        slopes, scores = jax.jacfwd(scores_of, has_aux=True)(p)
+        return carry[0] + scores, carry[1] + slopes
+
+    size = len(p)
+    return jax.lax.fori_loop(0, chunks, step, (jnp.zeros((scans, size)), jnp.zeros((scans, size, size))))
