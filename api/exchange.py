@@ -1,4 +1,4 @@
-"""Exchange: arrays that come and go as JSON or, by content negotiation, as ``.npy``."""
+"""Exchange: arrays that come and go as JSON or, by content negotiation, as Arrow streams or ``.npy``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from fastapi import Depends, Request, Response
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from api import arrow_stream
+from api.arrow_stream import ARROW
 from api.problems import Problem
 from fitter import directions
 from fitter.documents import dumps
@@ -21,7 +23,7 @@ from fitter.documents import dumps
 if TYPE_CHECKING:
     from fitter.sampling import Samples
 
-NPY = "application/x-npy"
+JSON, NPY = "application/json", "application/x-npy"
 FloatArray = NDArray[np.float64]
 
 #: A direction's length may be off by this much (rounded decimals); it is then scaled to unit length.
@@ -35,14 +37,22 @@ async def _body(request: Request) -> bytes:
 Body = Annotated[bytes, Depends(_body)]
 
 
-def wants_npy(request: Request) -> bool:
-    """Whether the client accepts ``.npy`` and does not rank JSON before it."""
-    accepted = [part.split(";")[0].strip().lower() for part in request.headers.get("accept", "").split(",")]
-    return NPY in accepted and "application/json" not in accepted[: accepted.index(NPY)]
+def preferred(request: Request) -> str:
+    """The media type of the answer: of those that there are the client's first, by quality, then by order."""
+    ranked: list[tuple[float, str]] = []
+    for part in request.headers.get("accept", "").lower().split(","):
+        kind, *options = (piece.strip() for piece in part.split(";"))
+        quality = next((option[2:] for option in options if option.startswith("q=")), "1")
+        try:
+            ranked.append((-float(quality), kind))
+        except ValueError:
+            ranked.append((-1.0, kind))
+    ranked.sort(key=lambda one: one[0])
+    return next((kind for q, kind in ranked if q < 0 and kind in (JSON, NPY, ARROW)), JSON)
 
 
 def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, FloatArray]:
-    """``(wi, wo)``, each (M, 3): JSON ``{"wi": ..., "wo": ...}`` or an array (2, M, 3).
+    """``(wi, wo)``, each (M, 3): JSON ``{"wi": ..., "wo": ...}``, an Arrow stream or an array (2, M, 3).
 
     In JSON one wi may serve all wo, and the other way round.
     """
@@ -52,7 +62,7 @@ def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, F
             raise _bad(f"the array has shape {both.shape}, expected (2, M, 3)", "body")
         given: Mapping[str, Any] = {"wi": both[0], "wo": both[1]}
     else:
-        given = _read_json(body, ("wi", "wo"))
+        given = _read_named(request, body, ("wi", "wo"))
     wi, wo = checked(given["wi"], "wi", limit), checked(given["wo"], "wo", limit)
     above_horizon(wi)
     if len(wi) != len(wo) and 1 not in (len(wi), len(wo)):
@@ -62,8 +72,8 @@ def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, F
 
 
 def read_incidences(request: Request, body: bytes, limit: int) -> FloatArray:
-    """``wi`` (M, 3): JSON ``{"wi": ...}`` or an array (M, 3)."""
-    given = _read_npy(body) if _is_npy(request) else _read_json(body, ("wi",))["wi"]
+    """``wi`` (M, 3): JSON ``{"wi": ...}``, an Arrow stream or an array (M, 3)."""
+    given = _read_npy(body) if _is_npy(request) else _read_named(request, body, ("wi",))["wi"]
     wi = checked(given, "wi", limit)
     above_horizon(wi)
     return wi
@@ -115,13 +125,17 @@ def respond(
     array: NDArray[Any],
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """``array`` as ``.npy`` where the client prefers that, else ``document`` as JSON."""
+    """``array`` as an Arrow stream or ``.npy`` where the client prefers that, else ``document`` as JSON."""
     both = {"Vary": "Accept", **(headers or {})}
-    if not wants_npy(request):
-        return Response(dumps(document), media_type="application/json", headers=both)
+    kind = preferred(request)
+    if kind == JSON:
+        return Response(dumps(document), media_type=kind, headers=both)
+    if kind == ARROW:
+        about = {"channels": ",".join(document.get("channels", ())), **(headers or {})}
+        return Response(arrow_stream.packed(array, "value", about), media_type=kind, headers=both)
     buffer = BytesIO()
     npy.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
-    return Response(buffer.getvalue(), media_type=NPY, headers=both)
+    return Response(buffer.getvalue(), media_type=kind, headers=both)
 
 
 def respond_samples(request: Request, drawn: Samples, channels: Sequence[str]) -> Response:
@@ -163,7 +177,15 @@ def limited(n: int, limit: int) -> None:
 
 
 def _is_npy(request: Request) -> bool:
-    return request.headers.get("content-type", "").split(";")[0].strip().lower() == NPY
+    return _content_type(request) == NPY
+
+
+def _content_type(request: Request) -> str:
+    return request.headers.get("content-type", "").split(";")[0].strip().lower()
+
+
+def _read_named(request: Request, body: bytes, names: tuple[str, ...]) -> Mapping[str, Any]:
+    return arrow_stream.unpacked(body, names) if _content_type(request) == ARROW else _read_json(body, names)
 
 
 def _read_json(body: bytes, names: tuple[str, ...]) -> Mapping[str, Any]:

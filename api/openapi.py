@@ -8,6 +8,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
+from api.arrow_stream import ARROW
 from api.exchange import NPY
 from api.problems import MEDIA_TYPE
 
@@ -20,7 +21,7 @@ _PROBLEM = {"$ref": "#/components/schemas/ProblemDocument"}
 
 
 def array_request(*names: str) -> dict[str, Any]:
-    """A body of direction arrays, JSON or ``.npy``."""
+    """A body of direction arrays, JSON, ``.npy`` or an Arrow stream."""
     schema = {
         "type": "object", "required": list(names), "properties": dict.fromkeys(names, _VECTORS),
         "additionalProperties": False,
@@ -29,14 +30,15 @@ def array_request(*names: str) -> dict[str, Any]:
     content = {
         "application/json": {"schema": schema, "example": {name: _EXAMPLES[name] for name in names}},
         NPY: {"schema": {**_BINARY, "description": f"float64 or float32, {shape}"}},
+        ARROW: {"schema": {**_BINARY, "description": f"columns {', '.join(names)}: lists of three numbers"}},
     }
     return {"requestBody": {"required": True, "content": content}}
 
 
 def array_response(kind: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
-    """The 200 answer: JSON of that schema, or ``.npy``."""
-    content = {NPY: {"schema": _BINARY}}
-    about = "As JSON, or `.npy` where Accept prefers it"
+    """The 200 answer: JSON of that schema, ``.npy`` or an Arrow stream."""
+    content = {NPY: {"schema": _BINARY}, ARROW: {"schema": _BINARY}}
+    about = "As JSON, or `.npy` or an Arrow stream where Accept prefers that"
     return {200: {"model": kind, "description": about, "content": content}}
 
 

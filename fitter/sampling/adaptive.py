@@ -13,23 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
-from fitter.errors import TableError
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
-from fitter.sampling.axes import Axis
 from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
-from fitter.sampling.half_difference import Span
 from fitter.sampling.interpolant import in_chunks, pairs
 from fitter.sampling.majorants import ROUNDING, Point
-from fitter.sampling.maxima import BoxMaximum
+from fitter.sampling.maxima import BilinearMaximum
 from fitter.table import Quantity
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _CHUNK = 1 << 14
-# Rounding of places in the uniform square.
-_SLACK = 1e-9
+#: Rounding of places in the uniform square.
+SLACK = 1e-9
 # Columns of the cells to begin with; the rows are those of the warp.
 _COLUMNS = 32
 
@@ -78,13 +75,12 @@ class AdaptiveInterpolant:
     def joint(
         self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
     ) -> JointEnvelope:
-        """Not offered: the slices of this parameterisation are no blends of those at measured incidences."""
-        raise TableError(
-            "incidences can't be drawn together with directions from a table in an adaptive parameterisation",
-            code="no-joint-draws", cause="its warp changes between incidences, without a known bound",
-            remedy="draw for incidences of your choice; or read the samples alone: fitter.Table(wi=table.wi, "
-            "wo=table.wo, value=table.value)",
-        )  # fmt: skip
+        """What pairs (wi, wo) are drawn from."""
+        from fitter.sampling.joint_adaptive import AdaptiveJoint
+
+        if method == "inversion":
+            raise no_inversion("a table in an adaptive parameterisation")
+        return AdaptiveJoint(self, weights, acceptance, cells)
 
 
 @dataclass(frozen=True)
@@ -102,35 +98,6 @@ class AdaptiveSlice:
         if method == "inversion":
             raise no_inversion("a table in an adaptive parameterisation")
         return CellEnvelope(AdaptiveField(self, weights), acceptance, cells)
-
-
-class BilinearMaximum:
-    """Largest values over rectangles of a bilinear image (H, W) on the unit square."""
-
-    def __init__(self, image: FloatArray) -> None:
-        self._image = image
-        self._x, self._y = (
-            Axis(name, np.linspace(0, 1, n), None) for name, n in zip("xy", image.shape[::-1], strict=True)
-        )
-        self._boxes = BoxMaximum(image)
-
-    def __call__(self, x0: FloatArray, x1: FloatArray, y0: FloatArray, y1: FloatArray) -> FloatArray:
-        """(K,). Within one cell of the image a bilinear function is largest at a corner of a rectangle; with
-        at most one line of nodes inside in each direction, where sides and lines cross; else the largest
-        node stands for it.
-        """
-        x, y = Span(self._x, x0, x1), Span(self._y, y0, y1)
-        most = self._boxes(y.first, y.last, x.first, x.last)
-        small = np.flatnonzero(x.few & y.few)
-        x, y = x.take(small), y.take(small)
-        within = np.full(len(small), -np.inf)
-        nodes = [[self._image[j, i] for i in x.nodes] for j in y.nodes]
-        for b in y.fractions:
-            row = [sum(w * nodes[j][i] for j, w in enumerate(b)) for i in range(3)]
-            for a in x.fractions:
-                within = np.maximum(within, sum(w * row[i] for i, w in enumerate(a)))
-        most[small] = within
-        return most
 
 
 class AdaptiveField:
@@ -254,17 +221,13 @@ class AdaptiveField:
         corners = [self._square(u, v) for u in (u0, u1) for v in (v0, v1)]
         s, t = (np.stack(column) for column in zip(*corners, strict=True))
         most, ndf = self._most
-        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -_SLACK), (np.max, _SLACK))))
-        theta0, theta1 = u0 * u0 * (np.pi / 2), u1 * u1 * (np.pi / 2)
-        theta, turn = 0.5 * (theta0 + theta1), 2 * np.pi * (v1 - v0)
-        centre = directions.vector_from_spherical(theta, (v0 + v1 - 1) * np.pi + self._turn)
-        across = np.sin(theta) * np.sin(theta1) * np.sin(0.25 * turn) ** 2
-        radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
-        angle = np.arctan2(np.linalg.norm(np.cross(centre, self._wi), axis=1), centre @ self._wi)
-        along = np.maximum(np.cos(np.maximum(angle - radius - 1e-12, 0.0)), 0.0)
-        value *= ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(theta1)
+        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -SLACK), (np.max, SLACK))))
+        along = nearest_cosine(cells, self._turn, self._wi[None], 0.0)
+        value *= (
+            ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(u1 * u1 * (np.pi / 2))
+        )
         # wo is 2 (wi.m) m - wi: all below the horizon where even the largest factors leave it there.
-        value[2 * along * np.cos(theta0) < self._wi[2] * (1 - 1e-9)] = 0.0
+        value[2 * along * np.cos(u0 * u0 * (np.pi / 2)) < self._wi[2] * (1 - 1e-9)] = 0.0
         return np.maximum(value, 0.0) * (1 + ROUNDING)
 
     def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -292,3 +255,16 @@ class AdaptiveField:
             found /= np.where(height > 0, height, np.inf)[:, None]
         found[height <= 0] = np.nan
         return found
+
+
+def nearest_cosine(cells: FloatArray, turn: float, wi: FloatArray, spread: FloatArray | float) -> FloatArray:
+    """(K,) the largest wi.m, not below 0, for half vectors m of cells (K, 4) = u0, u1, v0, v1 and incidences
+    within ``spread`` (radians) of ``wi`` (1 or K, 3). turn : what m's azimuth counts from."""
+    u0, u1, v0, v1 = cells.T
+    theta0, theta1 = u0 * u0 * (np.pi / 2), u1 * u1 * (np.pi / 2)
+    theta = 0.5 * (theta0 + theta1)
+    centre = directions.vector_from_spherical(theta, (v0 + v1 - 1) * np.pi + turn)
+    across = np.sin(theta) * np.sin(theta1) * np.sin(0.5 * np.pi * (v1 - v0)) ** 2
+    radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
+    angle = np.arctan2(np.linalg.norm(np.cross(centre, wi), axis=1), (centre * wi).sum(axis=1))
+    return np.maximum(np.cos(np.maximum(angle - radius - spread - 1e-12, 0.0)), 0.0)

@@ -195,3 +195,40 @@ def corners(places: Sequence[Place], shape: Sequence[int]) -> list[tuple[IndexAr
             weight = weight * (place.fraction if side else 1.0 - place.fraction)
         found.append((index, weight))
     return found
+
+
+class Span:
+    """Intervals on an axis. first, last : nodes that enclose each; few : at most one node strictly inside."""
+
+    def __init__(self, axis: Axis, low: FloatArray, high: FloatArray) -> None:
+        self._axis = axis
+        nodes, n = axis.nodes, len(axis.nodes)
+        self.low, self.high = np.clip(low, nodes[0], nodes[-1]), np.clip(high, nodes[0], nodes[-1])
+        self.first = np.clip(np.searchsorted(nodes, self.low, side="right") - 1, 0, n - 1)
+        self.last = np.clip(np.searchsorted(nodes, self.high, side="left"), 0, n - 1)
+        self.few = self.last - self.first <= 2
+
+    def take(self, index: IndexArray) -> Span:
+        """Only the intervals ``index``."""
+        return Span(self._axis, self.low[index], self.high[index])
+
+    @property
+    def nodes(self) -> list[IndexArray]:
+        """The (up to three different) nodes around intervals that hold at most one."""
+        n = len(self._axis.nodes)
+        return [np.minimum(self.first + k, n - 1) for k in range(3)]
+
+    @property
+    def fractions(self) -> list[list[FloatArray]]:
+        """Weights of the three nodes at both ends and at the node inside (or again at an end)."""
+        x = [self._axis.nodes[index] for index in self.nodes]
+        found: list[list[FloatArray]] = []
+        for point in (self.low, np.clip(x[1], self.low, self.high), self.high):
+            left = _ratio(point - x[0], x[1] - x[0])
+            right = _ratio(point - x[1], x[2] - x[1])
+            found.append([1 - left, left * (1 - right), right])
+        return found
+
+
+def _ratio(step: FloatArray, width: FloatArray) -> FloatArray:
+    return np.clip(np.where(width > 0, step / np.where(width > 0, width, 1.0), 0.0), 0.0, 1.0)

@@ -1,4 +1,5 @@
-"""Largest values over ranges of a table in constant time: sparse tables (maxima over 2^k neighbours)."""
+"""Largest values over ranges of a table in constant time (sparse tables: maxima over 2^k neighbours), and
+over rectangles of bilinear images."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fitter.sampling.axes import Axis, Span
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -83,6 +86,43 @@ class WindowMaximum:
             return found
 
         return largest
+
+
+class BilinearMaximum:
+    """Largest values of bilinear images (H, W), or (K, H, W), over rectangles of the unit square."""
+
+    def __init__(self, image: FloatArray) -> None:
+        self._images = image.reshape(-1, *image.shape[-2:])
+        self._x, self._y = (
+            Axis(name, np.linspace(0, 1, n), None) for name, n in zip("xy", image.shape[:-3:-1], strict=True)
+        )
+        # Of several images, where a rectangle is large, each one's largest value will do.
+        self._boxes = BoxMaximum(image) if image.ndim == 2 else None
+        self._largest = self._images.max(axis=(1, 2))
+
+    def __call__(
+        self, x0: FloatArray, x1: FloatArray, y0: FloatArray, y1: FloatArray, which: IndexArray | int = 0
+    ) -> FloatArray:
+        """(K,), of the images ``which``. Within one cell of the image a bilinear function is largest at a
+        corner of a rectangle; with at most one line of nodes inside in each direction, where sides and lines
+        cross; else the largest node stands for it.
+        """
+        x, y = Span(self._x, x0, x1), Span(self._y, y0, y1)
+        if self._boxes is not None:
+            most = self._boxes(y.first, y.last, x.first, x.last)
+        else:
+            most = self._largest[which]
+        small = np.flatnonzero(x.few & y.few)
+        x, y = x.take(small), y.take(small)
+        which = which if isinstance(which, int) else which[small]
+        within = np.full(len(small), -np.inf)
+        nodes = [[self._images[which, j, i] for i in x.nodes] for j in y.nodes]
+        for b in y.fractions:
+            row = [sum(w * nodes[j][i] for j, w in enumerate(b)) for i in range(3)]
+            for a in x.fractions:
+                within = np.maximum(within, sum(w * row[i] for i, w in enumerate(a)))
+        most[small] = within
+        return most
 
 
 def _rounded_up(table: FloatArray) -> NDArray[np.float32]:

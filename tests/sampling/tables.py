@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+import fitter
 from fitter.directions import vector_from_spherical
 from fitter.table import Grid, Table
+from tests.formats.samples import rgl_fields, tensor_file
 
 FloatArray = NDArray[np.float64]
 
@@ -95,3 +97,8 @@ def scattered(
 
 def _circle(angle: FloatArray) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def adaptive(phi_i: tuple[float, ...] = (0.0,), **options: str) -> Table:
+    """As an RGL file holds it, with these stored incident azimuths."""
+    return fitter.load(tensor_file(rgl_fields(phi_i)), **options)  # pyright: ignore[reportArgumentType]
