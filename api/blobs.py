@@ -1,4 +1,4 @@
-"""Blobs: uploaded bytes, named by their sha256."""
+"""Blobs: uploaded bytes, named by their sha256, packed where that saves a tenth of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import zstandard
+
 from api.problems import Problem
+
+#: Packing takes 2 ms for a megabyte at this level, reading back 1 ms; parsing the table takes 10 or more.
+_LEVEL = 3
+_WORTH = 0.9
+_PACKED = ".zst"
 
 
 class Incoming:
@@ -23,6 +30,7 @@ class Incoming:
         handle, name = tempfile.mkstemp(dir=folder)
         self.path = Path(name)
         self.size = 0
+        self.packed = False
         self._limit = limit
         self._file = os.fdopen(handle, "wb")
         self._digest = hashlib.sha256()
@@ -50,6 +58,22 @@ class Incoming:
         os.fsync(self._file.fileno())
         return self._digest.hexdigest()
 
+    def pack(self) -> None:
+        """Replace the finished bytes by packed ones, where that saves a tenth."""
+        handle, name = tempfile.mkstemp(dir=self.path.parent)
+        smaller = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as out, self.path.open("rb") as whole:
+                packer = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
+                packer.copy_stream(whole, out, size=self.size)
+                out.flush()
+                os.fsync(out.fileno())
+            if smaller.stat().st_size <= _WORTH * self.size:
+                smaller.replace(self.path)
+                self.packed = True
+        finally:
+            smaller.unlink(missing_ok=True)
+
 
 class Blobs:
     """A folder of files named by their content.
@@ -74,16 +98,26 @@ class Blobs:
         """A new upload of at most ``limit`` bytes."""
         return Incoming(self._aside, limit)
 
-    def path(self, sha256: str) -> Path:
-        """Where the blob is (or would be)."""
-        return self._kept / sha256[:2] / sha256
+    def _paths(self, sha256: str) -> tuple[Path, Path]:
+        """Where the blob is (or would be) as it came, and packed."""
+        plain = self._kept / sha256[:2] / sha256
+        return plain, plain.with_name(sha256 + _PACKED)
+
+    def read(self, sha256: str) -> bytes:
+        """The bytes that were uploaded."""
+        plain, packed = self._paths(sha256)
+        if packed.exists():
+            return zstandard.ZstdDecompressor().decompress(packed.read_bytes())
+        return plain.read_bytes()
 
     def keep(self, incoming: Incoming, sha256: str) -> None:
         """Rename the finished upload into place; the same bytes again change nothing."""
-        target = self.path(sha256)
-        target.parent.mkdir(exist_ok=True)
-        incoming.path.replace(target)
+        both = self._paths(sha256)
+        if not any(path.exists() for path in both):
+            both[0].parent.mkdir(exist_ok=True)
+            incoming.path.replace(both[incoming.packed])
 
     def drop(self, sha256: str) -> None:
         """Delete the blob, which no row may name any more."""
-        self.path(sha256).unlink(missing_ok=True)
+        for path in self._paths(sha256):
+            path.unlink(missing_ok=True)

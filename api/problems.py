@@ -149,9 +149,7 @@ def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _response(
-    request: Request, found: dict[str, Any], headers: Mapping[str, str] | None = None
-) -> Response:
+def _response(request: Request, found: dict[str, Any], headers: Mapping[str, str] | None = None) -> Response:
     content = encoded({**found, "instance": request.url.path})
     return Response(content, found["status"], headers=headers, media_type=MEDIA_TYPE)
 

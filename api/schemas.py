@@ -73,9 +73,7 @@ class CheckDocument(BaseModel):
 class SampleRequest(_Request):
     """Directions to draw for one incidence."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}}
-    )
+    model_config = ConfigDict(json_schema_extra={"example": {"wi": [0.6, 0.0, 0.8], "n": 4, "seed": 1}})
 
     wi: Vector
     n: Annotated[int, Field(ge=1, le=50_000_000)]
@@ -85,9 +83,7 @@ class SampleRequest(_Request):
 class TableSampleRequest(_Request):
     """Directions to draw from a raw table. ``weights`` of the channels default to equal."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"wi": [0.5, 0.0, 0.8660254], "n": 4, "seed": 1}}
-    )
+    model_config = ConfigDict(json_schema_extra={"example": {"wi": [0.5, 0.0, 0.8660254], "n": 4, "seed": 1}})
 
     wi: Vector | Annotated[list[Vector], Field(min_length=1, max_length=1000)] | None = Field(
         None,
@@ -169,7 +165,7 @@ class FitRequest(FitSpec):
         allow_inf_nan=False,
         json_schema_extra={
             "example": {"table": _ID, "models": ["ward", "lafortune:2"], "metric": "cosine", "seed": 0}
-        }
+        },
     )
 
     table: str = Field(max_length=64, description="id of the table")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,14 +24,11 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 
-def parse(path: Path, options: dict[str, Any]) -> fitter.Table:
-    """The table in a blob. Raises TableError or SpecError as :func:`fitter.load` does.
-
-    The bytes are given, not the path: a blob's name on the disk means nothing to who uploaded it.
-    """
+def parse(data: bytes, options: dict[str, Any]) -> fitter.Table:
+    """The table in uploaded bytes. Raises TableError or SpecError as :func:`fitter.load` does."""
     chosen = read_options(options)
     try:
-        return fitter.load(path.read_bytes(), **chosen.to_dict())
+        return fitter.load(data, **chosen.to_dict())
     except TableError as error:
         error.file = error.file or chosen.name or "the upload"
         raise
@@ -94,7 +90,7 @@ class OpenTables:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        opened = Opened(parse(self._blobs.path(row.sha256), row.options))
+        opened = Opened(parse(self._blobs.read(row.sha256), row.options))
         with self._lock:
             # Two requests may have parsed at once: the first one's table, with its sampler, stays.
             opened = self._kept.setdefault(key, opened)

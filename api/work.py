@@ -113,9 +113,7 @@ class Worker:
         id = new_id()
         self._results.write(id, posterior.to_dict())
         summary = {"status": posterior.status, "message": posterior.message, "seconds": posterior.seconds}
-        row = PosteriorRow(
-            id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary
-        )
+        row = PosteriorRow(id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary)
         result = {"kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status}
         return Outcome([row], [result])
 

@@ -104,7 +104,8 @@ async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
 def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
     """Parse what came; only what is a table becomes a blob and a row."""
     sha256 = incoming.finish()
-    table = parse(incoming.path, options.to_dict())
+    table = parse(incoming.path.read_bytes(), options.to_dict())
+    incoming.pack()
     row = TableRow(
         id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
         sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),

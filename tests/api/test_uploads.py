@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from api.blobs import Blobs
 
 from .conftest import small_table
 
@@ -139,12 +142,35 @@ def test_same_bytes_are_one_blob_until_the_last_row_goes(serving: Callable[..., 
     first, second = (client.post("/v1/tables", content=body).json()["id"] for _ in range(2))
     sha256 = hashlib.sha256(body).hexdigest()
     assert first != second
-    assert files(tmp_path / "data") == [sha256]
+    assert files(tmp_path / "data") == [sha256 + ".zst"]
     assert client.delete(f"/v1/tables/{first}").status_code == 204
-    assert files(tmp_path / "data") == [sha256]
+    assert files(tmp_path / "data") == [sha256 + ".zst"]
     assert client.delete(f"/v1/tables/{second}").status_code == 204
     assert files(tmp_path / "data") == []
     assert client.delete(f"/v1/tables/{second}").status_code == 404
+
+
+@pytest.mark.parametrize("content", [b"0.25,0.5\n" * 1000, np.random.default_rng(0).bytes(5000), b"", b"x"])
+@pytest.mark.parametrize("before", [False, True])
+def test_bytes_come_back_as_they_came(tmp_path: Path, content: bytes, before: bool) -> None:
+    blobs = Blobs(tmp_path)
+    sha256 = hashlib.sha256(content).hexdigest()
+    if before:  # one that is not packed, as earlier versions left them
+        (tmp_path / "blobs" / sha256[:2]).mkdir()
+        (tmp_path / "blobs" / sha256[:2] / sha256).write_bytes(content)
+    with blobs.incoming(1 << 20) as incoming:
+        incoming.write(content)
+        assert incoming.finish() == sha256
+        incoming.pack()
+        blobs.keep(incoming, sha256)
+    assert blobs.read(sha256) == content
+    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(kept) == 1
+    smaller = len(content) == 9000 and not before
+    assert (kept[0].stat().st_size < 0.1 * len(content)) == smaller
+    assert (kept[0].suffix == ".zst") == smaller
+    blobs.drop(sha256)
+    assert files(tmp_path) == []
 
 
 def test_large_upload_is_cut(serving: Callable[..., Any], tmp_path: Path) -> None:
