@@ -12,7 +12,7 @@ machine has the same ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, cast
 
 import constriction
@@ -52,22 +52,18 @@ class Distribution:
     @cached_property
     def models(self) -> list[Any]:
         """For the coder, one for each of SHIFTS: probabilities of the tokens 0 to ``top`` (1 at least)."""
-        return [self._model(shift) for shift in SHIFTS]
+        p = self._weights()
+        p = np.maximum(p / p.max(axis=1, keepdims=True), _LEAST)
+        return [_stream.model.Categorical(row, perfect=False) for row in p]
 
-    def _model(self, shift: float) -> Any:
-        p = _weights(self.scale, self.exponent, shift)[: max(2, self.top + 1)]
-        p = np.maximum(p / p[int(np.argmax(p))], _LEAST)
-        return _stream.model.Categorical(p, perfect=False)
-
-
-def _weights(scale: int, exponent: int, shift: float) -> FloatArray:
-    """(tokens,) what each token weighs, before division by their sum."""
-    octave, quarter = divmod(scale + _SMALLEST_SCALE, 4)
-    s = np.ldexp(_QUARTERS[quarter], octave)
-    m = EXPONENTS[exponent]
-    middle, width = _buckets()
-    base = 1.0 + np.square((middle - shift) / s) / (2.0 * m)
-    return width / _power(base, m)
+    def _weights(self) -> FloatArray:
+        """(shifts, tokens) what each token weighs, before division by their sum."""
+        octave, quarter = divmod(self.scale + _SMALLEST_SCALE, 4)
+        s = np.ldexp(_QUARTERS[quarter], octave)
+        m = EXPONENTS[self.exponent]
+        middle, width = (part[: max(2, self.top + 1)] for part in _buckets())
+        base = 1.0 + np.square((middle - np.array(SHIFTS)[:, None]) / s) / (2.0 * m)
+        return width / _power(base, m)
 
 
 def _power(base: FloatArray, exponent: float) -> FloatArray:
@@ -82,6 +78,7 @@ def _power(base: FloatArray, exponent: float) -> FloatArray:
     return found
 
 
+@cache
 def _buckets() -> tuple[FloatArray, FloatArray]:
     """(tokens,) the number in the middle of each token (its size where it holds both signs), and how many
     numbers it holds."""
