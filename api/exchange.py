@@ -138,7 +138,9 @@ def respond(
     return Response(buffer.getvalue(), media_type=kind, headers=both)
 
 
-def respond_samples(request: Request, drawn: Samples, channels: Sequence[str]) -> Response:
+def respond_samples(
+    request: Request, drawn: Samples, channels: Sequence[str], slices: list[dict[str, Any]] | None = None
+) -> Response:
     """Draws as JSON, or as a structured array with the acceptance and the seed in headers."""
     fields = ("wo", "pdf", "weight", "valid", "is_delta")
     columns = {name: getattr(drawn, name) for name in fields}
@@ -149,7 +151,7 @@ def respond_samples(request: Request, drawn: Samples, channels: Sequence[str]) -
         array[name] = column
     document = {
         "channels": list(channels), "wi": None, **columns, "acceptance": drawn.acceptance,
-        "evaluations": drawn.evaluations, "seed": drawn.seed,
+        "evaluations": drawn.evaluations, "seed": drawn.seed, "slices": slices,
     }  # fmt: skip
     headers = {
         "Sampling-Acceptance": f"{drawn.acceptance:.6g}", "Sampling-Evaluations": str(drawn.evaluations),

@@ -102,6 +102,21 @@ class TableSampleRequest(_Request):
     allow_extrapolated: bool = Field(False, description="draw for incidences that were not measured, too")
 
 
+class SliceInfoDocument(BaseModel):
+    """One incidence of a raw table, as its sampler knows it."""
+
+    integral: float = Field(description="of the interpolant times cos(theta_o), negative values taken as 0")
+    integral_error: float = Field(description="its relative error, estimated; 0 where it is exact")
+    energy_error: float = Field(description="what interpolation alone makes of it, relative, estimated")
+    clamped_share: float = Field(description="share of the integral that is there because of that")
+    coverage: float = Field(description="share of the projected hemisphere that was measured")
+    blind: float = Field(description="share of the hemisphere's solid angle that is never drawn")
+    cells: int
+    acceptance: float = Field(description="expected share of candidates that is accepted")
+    extrapolated: bool
+    method: Literal["rejection", "inversion"]
+
+
 class SamplesDocument(BaseModel):
     """Draws, one entry each; ``weight`` is f_r cos(theta_o) / pdf per channel."""
 
@@ -115,6 +130,9 @@ class SamplesDocument(BaseModel):
     evaluations: int | None = Field(description="candidates tried; null where a sampler tries none")
     seed: int | None
     wi: list[Vector] | None = Field(description="the incidence of each draw; null where there is one for all")
+    slices: list[SliceInfoDocument] | None = Field(
+        description="each incidence of a raw table; null for models, for pairs, and of more than 16"
+    )
 
 
 class EvaluationDocument(BaseModel):

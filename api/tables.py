@@ -52,8 +52,8 @@ class Opened:
         method: Method | None = None,
         max_evaluations: int | None = None,
         allow_extrapolated: bool = False,
-    ) -> Samples:
-        """Draws from the table, of pairs where ``wi`` is None.
+    ) -> tuple[Samples, list[dict[str, Any]] | None]:
+        """Draws from the table, of pairs where ``wi`` is None, and what is known of each incidence.
 
         The lock is there because a sampler keeps envelopes from call to call. A request must end: an
         acceptance below a twentieth is an error unless more candidates were asked for.
@@ -61,10 +61,11 @@ class Opened:
         draws = n * (len(wi) if wi is not None and wi.ndim == 2 else 1)
         most = 20 * draws + 1_000_000 if max_evaluations is None else max_evaluations
 
-        def drawn(sampler: TableSampler) -> Samples:
+        def drawn(sampler: TableSampler) -> tuple[Samples, list[dict[str, Any]] | None]:
             if wi is None:
-                return sampler.sample_pairs(n, seed, max_evaluations=most)
-            return sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=most)
+                return sampler.sample_pairs(n, seed, max_evaluations=most), None
+            found = sampler.sample(wi, n, seed, allow_extrapolated=allow_extrapolated, max_evaluations=most)
+            return found, sampler.slices(wi, allow_extrapolated=allow_extrapolated)
 
         if weights is not None or method is not None:
             return drawn(fitter.TableSampler(self.table, weights=weights, method=method))

@@ -198,11 +198,11 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
     else:
         wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
     opened = here.tables.open(row)
-    drawn = opened.sample(
+    drawn, slices = opened.sample(
         wi, wanted.n, wanted.seed, weights=wanted.weights, method=wanted.method,
         max_evaluations=wanted.max_evaluations, allow_extrapolated=wanted.allow_extrapolated,
     )  # fmt: skip
-    return respond_samples(request, drawn, _channels(opened.table))
+    return respond_samples(request, drawn, _channels(opened.table), slices)
 
 
 @router.get("/{id}/check", response_model=schemas.CheckDocument, responses=problems(404, 422))

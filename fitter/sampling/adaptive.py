@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
+from fitter.sampling.curvature import gain_of_image
 from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import in_chunks, pairs
 from fitter.sampling.majorants import ROUNDING, Point
@@ -241,6 +242,16 @@ class AdaptiveField:
     def coordinates(self, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
         theta, phi = directions.spherical_from_vector(wo * self._sign + self._wi)
         return np.sqrt(theta * (2 / np.pi)), np.mod((phi - self._turn) / (2 * np.pi) + 0.5, 1.0)
+
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        place = self._placed(a, b)
+        data, ndf = looked_up(self._clamped, place[0]), looked_up(self._ndf, place[1])
+        # Of the data and of D: the field is their product, times what is not interpolated.
+        other = data * ndf
+        other = weight * np.nan_to_num(self.field(a, b)) / np.where(other > 0, other, np.inf)
+        return gain_of_image(self._clamped, place[0], other * ndf) + gain_of_image(
+            self._ndf, place[1], other * data
+        )
 
     def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
         return self._packed(self._placed(a, b), self.directions(a, b)[:, 2])

@@ -140,7 +140,6 @@ class BilinearEnvelope:
             integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
             blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
             acceptance=integral / float(envelope.sum()), extrapolated=field.extrapolated, method=method,
-            energy_error=field.energy_error,
         )  # fmt: skip
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
@@ -191,6 +190,10 @@ class BilinearEnvelope:
                 sine *= density
             accepted = chance < sine
         return Candidates((x, y, cosine), accepted, density, (cell, s, t, theta, phi))
+
+    def energy_error(self) -> float:
+        """What the integral is known to for interpolation alone, relative."""
+        return self._field.energy_error
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
         """(m, C) f+ of every channel at candidates' places."""

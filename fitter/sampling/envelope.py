@@ -29,8 +29,8 @@ class SliceInfo:
     acceptance : expected share of candidates that is accepted.
     extrapolated : True when the incidence lies outside the measured ones (only if that was allowed).
     method : how directions are drawn.
-    energy_error : what the energy of a narrow lobe is known to after interpolation, relative; None where
-        nothing estimates it (all but grids in incoming and outgoing angles).
+    energy_error : what the integral is known to for interpolation alone, relative, estimated; None where
+        :meth:`fitter.TableSampler.info` did not ask.
     """
 
     integral: float
@@ -98,6 +98,10 @@ class Envelope(Drawable, Protocol):
     """Candidates for one incidence."""
 
     info: SliceInfo
+
+    def energy_error(self) -> float:
+        """That of :class:`SliceInfo`, estimated when it is asked for."""
+        ...
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel in 1/sr at directions (M, 3), 0 outside the measured part."""

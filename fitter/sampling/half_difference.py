@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.sampling.axes import Place, Span, multilinear
+from fitter.sampling.axes import Place, Span, corners, multilinear
+from fitter.sampling.curvature import gain
 from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
@@ -124,6 +125,13 @@ class HalfDifferenceField:
             return np.where(self._table.mask[index], self._table.value[index] @ self._shared.weights, np.nan)
 
         return self._blend(self._places(a, b), look_up)
+
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        shape = self._table.grid.shape
+        depends = np.zeros(len(self._shared.weighted))
+        for index, share in corners(self._places(a, b), shape):
+            depends += np.bincount(index, share * weight, len(depends))
+        return gain(self._shared.weighted.reshape(shape), self._table.axes, depends.reshape(shape))
 
     def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
         return packed(self._places(a, b))

@@ -71,6 +71,10 @@ class Field(Protocol):
         """(M,) the field, NaN outside the measured domain."""
         ...
 
+    def gain(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
+        """What interpolation adds to the integral that these points and weights (M,) make up, estimated."""
+        ...
+
     def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(M,) solid angle per unit of the chart's measure."""
         ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,8 +26,8 @@ FloatArray = NDArray[np.float64]
 MOST_DRAWS = 50_000_000
 # Blocks of draws in one part of a stream.
 _AT_ONCE = 4
-# Kept set-ups; one is a few MB.
-_KEPT = 16
+#: Set-ups of the latest incidences that are kept; one is a few MB.
+KEPT = 16
 # Without a budget of the caller's: an acceptance below this is a failure, not a reason to go on.
 _HOPELESS = 1e-3
 
@@ -84,7 +84,15 @@ class TableSampler:
 
     def info(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> SliceInfo:
         """What the sampler knows about one incidence: integral, coverage, expected acceptance, clamping."""
-        return self.envelope(wi, allow_extrapolated=allow_extrapolated).info
+        envelope = self.envelope(wi, allow_extrapolated=allow_extrapolated)
+        return replace(envelope.info, energy_error=envelope.energy_error())
+
+    def slices(self, wi: ArrayLike, *, allow_extrapolated: bool = False) -> list[dict[str, Any]] | None:
+        """:meth:`info` of incidences (M, 3) or (3,) just drawn for; None of more than are kept."""
+        several = np.atleast_2d(np.asarray(wi, np.float64))
+        if len(several) > KEPT:
+            return None
+        return [asdict(self.info(one, allow_extrapolated=allow_extrapolated)) for one in several]
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike, *, allow_extrapolated: bool = False) -> FloatArray:
         """(M,) density of wo (M, 3) given ``wi`` (3,) per unit solid angle, 1/sr."""
@@ -231,7 +239,7 @@ class TableSampler:
             )  # fmt: skip
         key = (float(w[0]), float(w[1]), float(w[2]))
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
+            if len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[key] = part.envelope(self._weights, *self._target, self._method or part.preferred)
         return self._kept[key]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
+from fitter.sampling.curvature import gain_of_triangles
 from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, violated
 from fitter.sampling.mesh import Mesh, halved, overlay
 from fitter.sampling.refining import worth_halving
@@ -75,6 +76,17 @@ class TriangleEnvelope:
             cells=int(keep.sum()), acceptance=min(integral / drawn, 1.0), extrapolated=part.extrapolated,
             method=method,
         )  # fmt: skip
+
+    def energy_error(self) -> float:
+        """Relative size of what interpolation adds to the integral, estimated."""
+        found = sum(
+            part.weight
+            * gain_of_triangles(
+                part.scan.points, part.scan.clamped @ self._weights, part.scan.triangulation.simplices
+            )
+            for part in self._slice.parts
+        )
+        return abs(found) / self.info.integral
 
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates in the sample's frame."""

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial import Delaunay
 
 import fitter
 from fitter.directions import vector_from_spherical
 from fitter.errors import FitError, SpecError, TableError
 from fitter.sampling import TableSampler
+from fitter.sampling.curvature import gain_of_triangles
 from fitter.table import Table
 from tests.sampling.tables import anisotropic, ggx, merl, scattered, spherical
 
@@ -241,6 +243,36 @@ def test_energy_error_of_the_interpolant_is_stated(
         print(f"\nalpha {alpha}, {degree} degrees: albedo {info.integral:.4f}, of the lobe itself {true:.4f}")
     assert info.acceptance > 0.89
     assert info.integral >= 0.97 * true
+
+
+@pytest.mark.parametrize("degree", [5, 60])
+def test_energy_error_of_grids_in_half_and_difference_angles(degree: float) -> None:
+    """Against the lobe itself, over the disk."""
+    wi = vector_from_spherical(np.deg2rad(degree), 0.0)
+    table = merl(0.3, shape=(14, 12, 16))
+    u, turn = np.random.default_rng(0).random((2, 200_000))
+    wo = vector_from_spherical(np.arcsin(np.sqrt(u)), 2 * np.pi * turn)
+    value, outside = table.evaluate(wi, wo)
+    gained = value[:, 0] - ggx(np.broadcast_to(wi, wo.shape), wo, 0.3) - 0.05
+    info = TableSampler(table).info(wi)
+    assert info.energy_error == pytest.approx(
+        gained[~outside].sum() * np.pi / len(u) / info.integral, rel=0.1
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_error_of_triangles(seed: int) -> None:
+    """Of two sines that vanish at the rim."""
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(*2 * (np.linspace(0, 1, 16),)), axis=-1).reshape(-1, 2)
+    inside = ((grid > 0) & (grid < 1)).all(axis=1)
+    points = grid + inside[:, None] * rng.uniform(-0.02, 0.02, grid.shape)
+    triangles, value = Delaunay(points).simplices, np.sin(np.pi * points).prod(axis=1)
+    p = points[triangles]
+    e, g = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    areas = 0.5 * np.abs(e[:, 0] * g[:, 1] - e[:, 1] * g[:, 0])
+    true = float((areas * value[triangles].mean(axis=1)).sum()) - 4 / np.pi**2
+    assert gain_of_triangles(points, value, triangles) == pytest.approx(true, rel=0.25)
 
 
 def test_the_samplers_import_no_jax() -> None:

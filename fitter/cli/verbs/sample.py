@@ -73,6 +73,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     angles: list[float] = given.theta_i or []
     wi = vector_from_spherical(np.deg2rad(angles), np.deg2rad(given.phi_i))
     start_numerics(screen)
+    slices: list[dict[str, Any]] | None = None
     if given.model is not None:
         model = load_result(given.model).model
         drawn = model.sample(wi[0], given.count, seed=given.seed)
@@ -89,6 +90,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
                 wi if len(wi) > 1 else wi[0], given.count, given.seed, allow_extrapolated=given.extrapolate,
                 max_evaluations=given.max_evaluations,
             )  # fmt: skip
+            slices = sampler.slices(wi, allow_extrapolated=given.extrapolate)
         channels = tuple(channel.name for channel in opened.table.channels)
         origin = {"table": opened.table.metadata.name, "path": given.table}
     found = [moment(part) for part in _by_incidence(drawn, max(len(angles), 1))]
@@ -103,6 +105,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         "acceptance": drawn.acceptance,
         "evaluations": drawn.evaluations,
         "valid": int(drawn.valid.sum()),
+        "slices": slices,
         "channels": list(channels),
         "albedo_estimate": _one_or_all([one.value.tolist() for one in found]),
         "albedo_standard_error": _one_or_all([_finite(one.standard_error) for one in found]),
@@ -129,6 +132,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
             )
             of = "f_r cos cos over both hemispheres" if given.pairs else "the albedo"
             fields[f"mean weight{where}"] = f"{estimate} (estimates {of})"
+            if slices is not None:
+                share = 100 * slices[k]["energy_error"]
+                fields[f"interpolation{where}"] = f"makes {share:.2g} % of that uncertain"
         screen.fields({**fields, "written": str(out)} if out is not None else fields)
 
     return Outcome(document, show)
