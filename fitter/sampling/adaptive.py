@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
+from fitter.sampling.cells import ChartSlice
 from fitter.sampling.curvature import gain_of_image
-from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
-from fitter.sampling.interpolant import in_chunks, pairs
+from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
+from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BilinearMaximum
 from fitter.table import Quantity
@@ -26,6 +27,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _CHUNK = 1 << 14
+_KIND = "a table in an adaptive parameterisation"
 #: Rounding of places in the uniform square.
 SLACK = 1e-9
 # Columns of the cells to begin with; the rows are those of the warp.
@@ -68,10 +70,13 @@ class AdaptiveInterpolant:
         nodes = self.adaptive.theta_i
         return (theta < nodes[0] - 1e-6) | (theta > nodes[-1] + 1e-6)
 
-    def slice(self, wi: ArrayLike) -> AdaptiveSlice:
+    def slice(self, wi: ArrayLike) -> Slice:
         """The interpolant at the one incidence ``wi`` (3,)."""
         w = pairs(wi, wi)[0][:1]
-        return AdaptiveSlice(self, w[0], bool(self._outside(w)[0]) or bool(w[0, 2] <= 0))
+        return ChartSlice(
+            w[0], bool(self._outside(w)[0]) or bool(w[0, 2] <= 0), _KIND,
+            lambda part, weights: AdaptiveField(self, part, weights),
+        )  # fmt: skip
 
     def joint(
         self, weights: FloatArray, acceptance: float, cells: int, method: Method | None
@@ -80,25 +85,8 @@ class AdaptiveInterpolant:
         from fitter.sampling.joint_adaptive import AdaptiveJoint
 
         if method == "inversion":
-            raise no_inversion("a table in an adaptive parameterisation")
+            raise no_inversion(_KIND)
         return AdaptiveJoint(self, weights, acceptance, cells)
-
-
-@dataclass(frozen=True)
-class AdaptiveSlice:
-    """One incidence ``wi`` (3,)."""
-
-    interpolant: AdaptiveInterpolant
-    wi: FloatArray
-    extrapolated: bool
-    preferred: Method = "rejection"
-
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
-        from fitter.sampling.cells import CellEnvelope
-
-        if method == "inversion":
-            raise no_inversion("a table in an adaptive parameterisation")
-        return CellEnvelope(AdaptiveField(self, weights), acceptance, cells)
 
 
 class AdaptiveField:
@@ -108,8 +96,7 @@ class AdaptiveField:
     u sin(theta_m) / sigma.
     """
 
-    def __init__(self, part: AdaptiveSlice, weights: FloatArray) -> None:
-        table = part.interpolant
+    def __init__(self, table: AdaptiveInterpolant, part: ChartSlice, weights: FloatArray) -> None:
         adaptive, self._quantity = table.adaptive, table.quantity
         self.extrapolated = part.extrapolated
         self._wi = part.wi

@@ -6,14 +6,23 @@ the candidate accepted with probability field / majorant, has density proportion
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.envelope import Candidates, SliceInfo, empty_slice, violated
+from fitter.sampling.envelope import (
+    Candidates,
+    Envelope,
+    Method,
+    SliceInfo,
+    empty_slice,
+    no_inversion,
+    violated,
+)
 from fitter.sampling.majorants import Field
 from fitter.sampling.refining import worth_halving
 
@@ -26,6 +35,25 @@ _ROUNDS = 60
 # How often cells on the rim of the measured domain are cut for the integral.
 _RIM = 4
 _CHUNK = 1 << 14
+
+
+@dataclass(frozen=True)
+class ChartSlice:
+    """One incidence ``wi`` (3,) of a table that is drawn from on a chart.
+
+    kind : of table, in words. field : of this slice and of channel weights.
+    """
+
+    wi: FloatArray
+    extrapolated: bool
+    kind: str
+    field: Callable[[ChartSlice, FloatArray], Field]
+    preferred: Method = "rejection"
+
+    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
+        if method == "inversion":
+            raise no_inversion(self.kind)
+        return CellEnvelope(self.field(self, weights), acceptance, cells)
 
 
 class CellEnvelope:
@@ -67,7 +95,7 @@ class CellEnvelope:
         clamped = 0.0
         if field.clamps:
             clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
-        disk, sphere = (float(self._quadrature(fine, _STEER, of=of).sum()) for of in ("disk", "sphere"))
+        disk, sphere = self._covered(fine)
         keep = majorant > 0
         self._sides = tuple(rectangles[keep].T)
         self._columns = tuple(np.ascontiguousarray(column) for column in field.columns(rectangles[keep]))
@@ -141,22 +169,22 @@ class CellEnvelope:
             a, b = (np.broadcast_to(side, size.shape).reshape(-1) for side in (a, b))
             yield a, b, size.reshape(-1) * self._field.measure(a, b)
 
-    def _quadrature(
-        self, rectangles: FloatArray, points: int, *, clamped: bool = True, of: str = "field"
-    ) -> FloatArray:
-        """(K,) integral over each cell of the field, or of its measured part on the disk or the sphere."""
-        field = self._field
+    def _quadrature(self, rectangles: FloatArray, points: int, *, clamped: bool = True) -> FloatArray:
+        """(K,) integral of the field over each cell."""
         parts: list[FloatArray] = [np.zeros(0)]
         for a, b, weight in self._points(rectangles, points):
-            value = field.field(a, b, clamped=clamped)
-            if of == "field":
-                value = np.nan_to_num(value, nan=0.0)
-            else:
-                value = np.where(np.isfinite(value), field.solid_angle(a, b), 0.0)
-                if of == "disk":
-                    value *= field.directions(a, b)[:, 2]
+            value = np.nan_to_num(self._field.field(a, b, clamped=clamped), nan=0.0)
             parts.append((value * weight).reshape(-1, points**2).sum(axis=1))
         return np.concatenate(parts)
+
+    def _covered(self, rectangles: FloatArray) -> tuple[float, float]:
+        """What was measured of the cells, on the disk and on the sphere."""
+        disk = sphere = 0.0
+        for a, b, weight in self._points(rectangles, _STEER):
+            size = np.where(np.isfinite(self._field.field(a, b)), self._field.solid_angle(a, b) * weight, 0.0)
+            sphere += float(size.sum())
+            disk += float(size @ self._field.directions(a, b)[:, 2])
+        return disk, sphere
 
 
 def _halves(rectangles: FloatArray, tall: NDArray[np.bool_]) -> FloatArray:

@@ -7,7 +7,6 @@ values there use the usable nodes, weights scaled to sum to 1, or the nearest us
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from scipy import ndimage
 from fitter import directions
 from fitter.sampling.axes import Axis, axes_of, corners
 from fitter.sampling.energy import GridEnergy, grid_energy
-from fitter.sampling.envelope import Envelope, JointEnvelope, Method, no_inversion
+from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.spherical import Node, SphericalSlice, powered
 from fitter.table import Grid
@@ -34,6 +33,7 @@ IndexArray = NDArray[np.intp]
 _NO_WEIGHT = 1e-9
 _PLANE = 1e-3  # sine of the azimuth up to which a direction is in the plane of incidence
 _CHUNK = 1 << 16
+_KIND = "a grid in half and difference angles"
 
 
 class GridInterpolant:
@@ -164,7 +164,12 @@ class GridInterpolant:
         """The interpolant at the one incidence ``wi`` (3,)."""
         w = pairs(wi, wi)[0][0]
         if self.grid.system == "half_difference":
-            return HalfDifferenceSlice(self, w, bool(w[2] <= 0))
+            from fitter.sampling.cells import ChartSlice
+            from fitter.sampling.half_difference import HalfDifferenceField
+
+            return ChartSlice(
+                w, bool(w[2] <= 0), _KIND, lambda part, weights: HalfDifferenceField(self, part, weights)
+            )
         theta, phi = (float(angle) for angle in directions.spherical_from_vector(w))
         outgoing, incoming = self.axes[-2:], self.axes[:-2]
         rotation = phi if self.grid.system == "spherical_isotropic" else 0.0
@@ -196,23 +201,5 @@ class GridInterpolant:
         from fitter.sampling.joint_half_difference import HalfDifferenceJoint
 
         if method == "inversion":
-            raise no_inversion("a grid in half and difference angles")
+            raise no_inversion(_KIND)
         return HalfDifferenceJoint(self, weights, acceptance)
-
-
-@dataclass(frozen=True)
-class HalfDifferenceSlice:
-    """One incidence ``wi`` (3,) of a grid in half and difference angles."""
-
-    interpolant: GridInterpolant
-    wi: FloatArray
-    extrapolated: bool
-    preferred: Method = "rejection"
-
-    def envelope(self, weights: FloatArray, acceptance: float, cells: int, method: Method) -> Envelope:
-        from fitter.sampling.cells import CellEnvelope
-        from fitter.sampling.half_difference import HalfDifferenceField
-
-        if method == "inversion":
-            raise no_inversion("a grid in half and difference angles")
-        return CellEnvelope(HalfDifferenceField(self, weights), acceptance, cells)

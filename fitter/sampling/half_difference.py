@@ -15,7 +15,8 @@ from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
 if TYPE_CHECKING:
-    from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
+    from fitter.sampling.cells import ChartSlice
+    from fitter.sampling.grid import GridInterpolant
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -52,8 +53,8 @@ class HalfDifferenceField:
     # Square enough to begin with; everything else is refinement.
     _BEGIN = (24, 96)
 
-    def __init__(self, part: HalfDifferenceSlice, weights: FloatArray) -> None:
-        self._table = part.interpolant
+    def __init__(self, table: GridInterpolant, part: ChartSlice, weights: FloatArray) -> None:
+        self._table = table
         self._shared = self._table.weighted(weights)
         self.extrapolated = part.extrapolated
         theta_i, phi_i = directions.spherical_from_vector(part.wi)

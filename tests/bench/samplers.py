@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 import fitter
 from fitter import models
+from fitter.directions import vector_from_spherical
 from fitter.sampling import moment
 from fitter.table import Table
 from tests.bench import plain, tables
 from tests.bench.measuring import Figure, Row, Size, Times, alternate
 from tests.bench.memory import peak
-from tests.sampling.tables import merl, scattered, spherical
+from tests.sampling.tables import adaptive, merl, scattered, spherical
 
 FloatArray = NDArray[np.float64]
 SEED = 5
@@ -72,7 +73,10 @@ def _slices(size: Size) -> Iterator[Row]:
     in_out = Table(value=grid.value[:, 0], grid=grid.grid)
     scans = scattered(0.15)
     rng = np.random.default_rng(SEED)
+    merl_grid = merl(0.15, shape=size.pick((90, 90, 180), (20, 18, 36)))
     for name, table, wi, method in (
+        ("a half/difference grid", merl_grid, WI, "rejection"),
+        ("an adaptive table, three channels", adaptive(), vector_from_spherical(0.6, 0.3), "rejection"),
         ("an in/out grid", in_out, WI, "rejection"), ("an in/out grid", in_out, WI, "inversion"),
         ("a scattered scan", scans, scans.wi[0], "inversion"),
         ("a scattered scan", scans, scans.wi[0], "rejection"),

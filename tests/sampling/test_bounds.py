@@ -7,8 +7,9 @@ import pytest
 
 from fitter.directions import vector_from_spherical
 from fitter.sampling.bilinear import BilinearEnvelope
+from fitter.sampling.cells import ChartSlice
 from fitter.sampling.energy import GridEnergy
-from fitter.sampling.grid import GridInterpolant, HalfDifferenceSlice
+from fitter.sampling.grid import GridInterpolant
 from fitter.sampling.half_difference import HalfDifferenceField
 from fitter.sampling.interpolant import interpolant
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
@@ -40,8 +41,8 @@ def test_half_difference_bounds_hold_on_any_cell(degree: float, holes: float) ->
     grid = interpolant(table)
     assert isinstance(grid, GridInterpolant)
     part = grid.slice(vector_from_spherical(np.deg2rad(degree), 0.4))
-    assert isinstance(part, HalfDifferenceSlice)
-    field = HalfDifferenceField(part, np.ones(1))
+    assert isinstance(part, ChartSlice)
+    field = HalfDifferenceField(grid, part, np.ones(1))
     rng = np.random.default_rng(int(degree * 100))
     count = 3000
     size = 10 ** rng.uniform(-5, 0, (2, count))
