@@ -2,9 +2,10 @@
 
 Bands of new measurements (:func:`fitter.posterior.predictive`) of fits to random halves of a table, and to
 every second scan, are held against the other half, beside bands of relative noise and a floor, which know no
-correlation. What is said of a table is the mean over its splits. Fits to the even and to the odd scans are
-compared by their robust intervals and by those that take residuals as independent. Needs the measured tables
-(BRDF_SHARED).
+correlation. What is said of a table is the mean over its splits; a fit that says of itself that it did not
+converge or is not identified promises nothing, and is counted ("disowned"). Fits to the even and to the odd
+scans are compared by their robust intervals and by those that take residuals as independent. Needs the
+measured tables (BRDF_SHARED).
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ CHANNEL = 0
 def judge(name: str, share: float, seed: int) -> Outcome:
     rows: dict[str, list[dict[str, float]]] = defaultdict(list)
     agree: list[tuple[bool, bool]] = []
+    disowned = 0
     tables = list(_tables(name))
     for table in tables[: max(1, round(len(tables) * share))]:
         rng = np.random.default_rng(seed)
@@ -49,15 +51,21 @@ def judge(name: str, share: float, seed: int) -> Outcome:
         halves = [rng.permutation(len(whole)) < len(whole) // 2 for _ in range(HALVINGS)]
         even = scan.block % 2 == 0
         for model in MODELS:
-            rows["random"].append(_held(whole, halves, model, "directions", seed))
+            kinds = [("random", halves)] + [("scans", [even])] * (scan.kind is not None)
+            for kind, splits in kinds:
+                new = "scans" if kind == "scans" else "directions"
+                held, refused = _held(whole, splits, model, new, seed)
+                rows[kind] += held
+                disowned += refused
             if scan.kind is None:
                 continue
-            rows["scans"].append(_held(whole, [even], model, "scans", seed))
             if scan.count >= ENOUGH_SCANS:
                 agree += _agreement(whole, even, model)
-    figures: dict[str, Any] = {"tables": len(tables)}
+    figures: dict[str, Any] = {"tables": len(tables), "disowned": disowned}
     violations: list[dict[str, Any]] = []
     for kind, found in rows.items():
+        if not found:
+            continue
         mean = {key: np.mean([row[key] for row in found], axis=0) for key in found[0]}
         cover = np.array([row["cover"] for row in found])
         low, high = (0.9, 0.98) if kind == "random" else (0.9, 1.0)
@@ -99,12 +107,17 @@ def _part(table: Table, index: NDArray[np.intp]) -> Table:
 
 def _held(
     whole: Table, halves: list[BoolArray], model: str, new: Literal["directions", "scans"], seed: int
-) -> dict[str, Any]:
-    """How the bands of fits to each half, and to what it leaves, hold the rest: the mean over the splits."""
+) -> tuple[list[dict[str, Any]], int]:
+    """How the bands of fits to each half, and to what it leaves, hold the rest: one mean over the splits, of
+    which those are left out, and counted, whose fit says of itself that it is none."""
     rows: list[list[float]] = []
+    disowned = 0
     for used in (part for half in halves for part in (half, ~half)):
         part = _part(whole, np.flatnonzero(used))
         fit = fitter.fit(part, model)
+        if fit.status != "converged":
+            disowned += 1
+            continue
         found = predictive(part, fit, robust(part, fit), seed)
         wi, wo, y = whole.wi[~used], whole.wo[~used], whole.value[~used]
         lower, upper = found.predict(wi, wo, new=new if new in found.processes else "directions")
@@ -120,8 +133,11 @@ def _held(
                 _score(lower, upper, y), _score(f - plain, f + plain, y), *(float(t.mean()) for t in third),
             ]
         )  # fmt: skip
+    if not rows:
+        return [], disowned
     cover, naive, bright, ours, theirs, *thirds = np.mean(rows, axis=0).tolist()
-    return {"cover": cover, "naive": naive, "bright": bright, "score": ours / theirs, "thirds": thirds}
+    mean = {"cover": cover, "naive": naive, "bright": bright, "score": ours / theirs, "thirds": thirds}
+    return [mean], disowned
 
 
 def _relative_and_floor(part: Table, fit: fitter.FitResult) -> tuple[float, float]:
@@ -178,12 +194,14 @@ STUDY = Study(
         "interval score of relative noise and a floor; of every second scan held out they cover at least "
         "90 % on 80 % of tables, with a lower score than theirs; fits to disjoint scans agree within their "
         "robust 95 % intervals in 90 % of the parameters of tables with ten scans or more. "
-        "(naive: coverage of relative noise and a floor; thirds: of ours where the model is brightest, "
+        "(disowned: fits that say of themselves that they did not converge or are not identified, left out; "
+        "naive: coverage of relative noise and a floor; thirds: of ours where the model is brightest, "
         "in between, and darkest; independent: how many agree where residuals are taken as "
         "independent)"
     ),
     columns=(
         "tables",
+        "disowned",
         *(
             f"{kind}: {what}"
             for kind in ("random", "scans")
