@@ -14,6 +14,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Values = Array | FloatArray
 #: The angles that can be off, in the order of their offsets. In the plane of incidence phi has no first-order
 #: effect and is left out.
 ANGLES = ("theta_i", "theta_o", "phi")
@@ -38,7 +39,7 @@ def tangents(pair: FloatArray, *, signed: bool) -> FloatArray:
     return np.concatenate(found)
 
 
-def shifted(pair: Array, tangent: Array, offsets: Array) -> Array:
+def shifted(pair: Values, tangent: Values, offsets: Values) -> Array:
     """Pairs (6, n) seen with these offsets (2 or 3,) in radians; no direction comes near the horizon that was
     not."""
     cos, sin = jnp.cos(offsets), jnp.sin(offsets)

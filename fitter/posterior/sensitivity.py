@@ -24,10 +24,10 @@ from fitter.fitting.result import FitResult
 from fitter.fitting.samples import BLOCK, padded
 from fitter.fitting.sums import scan_sums
 from fitter.posterior.jackknife import free_curvature, used_by, vector
+from fitter.posterior.offsets import ANGLES, shifted, tangents
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
-ANGLES = ("theta_i", "theta_o", "phi")
 #: Radians of the central difference.
 STEP = 1e-5
 
@@ -65,37 +65,13 @@ def offset_sensitivities(table: Table | CompressedTable, fit: FitResult) -> dict
         curvature, _ = free_curvature(gradient(block.pair)[1], matrix, where)
         inverse = jacobian[:, where] @ np.linalg.pinv(curvature, hermitian=True)
         slopes = np.empty((len(labels), len(ANGLES)))
-        for k in range(len(ANGLES)):
+        tangent = tangents(block.pair, signed=whole.domain.in_plane)
+        for k, step in enumerate(STEP * np.eye(len(ANGLES))):
             ends = [
-                gradient(shifted(block.pair, k, side * STEP, signed=whole.domain.in_plane))[0]
-                for side in (1.0, -1.0)
+                gradient(np.asarray(shifted(block.pair, tangent, side * step)))[0] for side in (1.0, -1.0)
             ]
             slopes[:, k] = -inverse @ ((ends[0] - ends[1]) / (2.0 * STEP))[where]
         for label, row in zip(labels, slopes, strict=True):
             stated = np.isfinite(fit.covariance[fit.labels.index(label), fit.labels.index(label)])
             found[label] = row if stated else np.full(len(ANGLES), np.nan)
     return {label: found[label] for label in fit.labels}
-
-
-def shifted(pair: FloatArray, angle: int, offset: float, *, signed: bool) -> FloatArray:
-    """Pairs (6, n) with an offset (radians) added to one of :data:`ANGLES`; ``signed`` as for an arm in the
-    plane of incidence."""
-    wi, wo = pair[:3], pair[3:]
-    c, s = np.cos(offset), np.sin(offset)
-    if angle == 2:
-        return np.stack([*wi, c * wo[0] - s * wo[1], s * wo[0] + c * wo[1], wo[2]])
-    incident, scattered = _azimuth(wi, -wo), _azimuth(wo, -wi)
-    moved, along = (wi, incident) if angle == 0 else (wo, scattered)
-    if angle == 1 and signed:
-        s = s * np.where((incident * scattered).sum(axis=0) > 0, -1.0, 1.0)
-    flat = np.hypot(moved[0], moved[1])
-    turned = np.concatenate([along * (c * flat + s * moved[2]), [c * moved[2] - s * flat]])
-    return np.concatenate([turned, wo] if angle == 0 else [wi, turned])
-
-
-def _azimuth(w: FloatArray, partner: FloatArray) -> FloatArray:
-    """(2, n) unit vectors of the azimuths of w; on the normal, which has none, that of its partner."""
-    length, other = np.hypot(w[0], w[1]), np.hypot(partner[0], partner[1])
-    own = w[:2] / np.where(length > 1e-9, length, 1.0)
-    theirs = np.where(other > 1e-9, partner[:2] / np.where(other > 1e-9, other, 1.0), [[1.0], [0.0]])
-    return np.where(length > 1e-9, own, theirs)

@@ -12,7 +12,7 @@ from scipy import stats
 import fitter
 from fitter import directions, models
 from fitter.posterior import offset_sensitivities, robust
-from fitter.posterior.sensitivity import ANGLES, shifted
+from fitter.posterior.offsets import ANGLES, shifted, tangents
 from fitter.report.budget import LEVEL, OFFSETS, budget
 from fitter.report.fitted import Fitted
 from fitter.report.propagation import section, tolerance
@@ -41,13 +41,17 @@ def found() -> Any:
     return table, fit, offsets, fitted, budget(fitted, robust(table, fit), offsets)
 
 
+def _shifted(pair: np.ndarray, angle: int, offset: float, *, signed: bool) -> np.ndarray:
+    return np.asarray(shifted(pair, tangents(pair, signed=signed), offset * np.eye(3)[angle]))
+
+
 @pytest.mark.parametrize("k", range(3))
 def test_sensitivities_are_those_of_refits_of_shifted_tables(found: Any, k: int) -> None:
     table, fit, offsets, _, _ = found
     pair, step = np.concatenate([table.wi.T, table.wo.T]), 1e-3
     ends = []
     for side in (1, -1):
-        moved = _table(table, shifted(pair, k, side * step, signed=False))
+        moved = _table(table, _shifted(pair, k, side * step, signed=False))
         ends.append(Fitted.of(moved, fitter.fit(moved, "ward")).estimates)
     u = np.sqrt(np.diagonal(fit.covariance))
     for j, label in enumerate(fit.labels):
@@ -64,10 +68,10 @@ def test_shifts_are_those_of_angles() -> None:
     for k, steps in enumerate(np.eye(3) * 0.01):
         wi = directions.vector_from_spherical(theta_i + steps[0], 0.0)
         wo = directions.vector_from_spherical(theta_o + steps[1], phi + steps[2])
-        moved = shifted(pair, k, 0.01, signed=False)
+        moved = _shifted(pair, k, 0.01, signed=False)
         np.testing.assert_allclose(moved, np.concatenate([wi.T, wo.T]), atol=1e-14)
     # On an arm in the plane the angle on the side of the light gets smaller.
-    signed = shifted(pair, 1, 0.01, signed=True)
+    signed = _shifted(pair, 1, 0.01, signed=True)
     after, _ = directions.spherical_from_vector(signed[3:].T)
     np.testing.assert_allclose(after[[0, 2]] - theta_o[[0, 2]], [0.01, -0.01], atol=1e-12)
 
