@@ -32,12 +32,13 @@ def naive(runs: Sequence[Ensembles]) -> dict[str, float]:
 
 
 def beside(
-    labels: Sequence[str], draws: FloatArray, words: str, plain: Mapping[str, float] | None, robust: Robust
+    labels: Sequence[str], draws: FloatArray, words: str, plain: Mapping[str, float] | None,
+    robust: Robust | None,
 ) -> dict[str, Any]:
     """JSON-ready: of each of the three what it is, in words, and u by label; None where none is stated.
 
     draws : of the posterior (S, P), not rescaled. plain : of :func:`naive`, None where the posterior's own
-    likelihood is the naive one.
+    likelihood is the naive one. robust : None where it was not asked for.
     """
     sd = draws.std(axis=0, ddof=1)
     return {
@@ -46,7 +47,7 @@ def beside(
             "words": words, "u": {label: float(u) for label, u in zip(labels, sd, strict=True)}
         },
         "naive": None if plain is None else {"words": NAIVE, "u": dict(plain)},
-        "robust": {
+        "robust": None if robust is None else {
             "words": _words(robust),
             "u": {k: u if math.isfinite(u) else None for k, u in robust.standard_uncertainty.items()},
             "method": robust.method, "scans": robust.scans, "coverage_factor": robust.coverage_factor,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ class Posterior:
     status : "converged"; "not_converged", and ``message`` which target was missed; "not_identified": a
         parameter fills the range that it was allowed; "prior_conflict": one lies against the bounds of the
         specification.
-    uncertainties : "posterior", "naive" and "robust": of each, what it is and u by label
+    uncertainties : "posterior", "naive" and "robust": of each, what it is and u by label, or None
         (:mod:`fitter.posterior.beside`).
     history : list of {"steps", "rhat", "ess", "seconds"} as the run went on.
     """
@@ -64,7 +64,7 @@ class Posterior:
     history: tuple[Mapping[str, float], ...]
     cost: Mapping[str, Any]
     table: Mapping[str, Any]
-    uncertainties: Mapping[str, Any]
+    uncertainties: Mapping[str, Any] = field(default_factory=dict[str, Any])
     warnings: tuple[str, ...] = ()
 
     @property

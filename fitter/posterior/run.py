@@ -16,10 +16,10 @@ from fitter.errors import SpecError
 from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import usable
+from fitter.posterior import jackknife
 from fitter.posterior.beside import naive
 from fitter.posterior.checkpoint import Checkpoint, digest
 from fitter.posterior.ensembles import start
-from fitter.posterior.jackknife import robust
 from fitter.posterior.looks import FIRST, look_at
 from fitter.posterior.offsets import ANGLES
 from fitter.posterior.result import Posterior
@@ -39,6 +39,7 @@ def sample(
     spec: PosteriorSpec | None = None,
     *,
     checkpoint: Path | str | None = None,
+    robust: bool = True,
     progress: progress.Progress = progress.ignore,
     **settings: Any,
 ) -> Posterior:
@@ -51,6 +52,8 @@ def sample(
     checkpoint : a folder to keep the run in as it goes on. Where it holds the same run already, that one goes
         on and its draws are those of a run that was never stopped; the seconds that it took count. Nothing
         but the budget looks at the clock. The folder stays: delete it when the result is safe.
+    robust : False leaves out the robust uncertainty beside the posterior's own, which takes a moment; draws
+        that are rescaled to it have it all the same.
     progress : called with (share, text); may raise to stop.
 
     Returns
@@ -106,8 +109,10 @@ def sample(
                 for group in channel_groups(fit.spec, len(data.channels))
             ]
         )  # fmt: skip
-    progress(0.0, "leaving out scans")
-    without_scans = robust(table, fit)
+    without_scans = None
+    if robust or request.draws == "robust":
+        progress(0.0, "leaving out scans")
+        without_scans = jackknife.robust(table, fit)
     prepared = time.perf_counter()
 
     spent = None if kept is None else kept.restore(runs)

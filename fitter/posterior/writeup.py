@@ -31,7 +31,7 @@ AGAINST = 0.05
 def write_up(
     table: Table, fit: FitResult, request: PosteriorSpec, runs: list[Ensembles], look: Look,
     history: list[dict[str, float]], kind: str, data: Usable, used: int, phases: dict[str, float],
-    resumed: int, plain: dict[str, float] | None, without_scans: Robust,
+    resumed: int, plain: dict[str, float] | None, without_scans: Robust | None,
 ) -> Posterior:  # fmt: skip
     rng = np.random.default_rng([request.seed, 1])
     labels: list[str] = []
@@ -44,7 +44,7 @@ def write_up(
         labels += run.labels
     sampled = np.concatenate(columns, axis=1)
     draws = sampled
-    if request.draws == "robust":
+    if request.draws == "robust" and without_scans is not None:
         draws = rescaled(sampled, labels, fit.model, without_scans, rng)
     diagnostics = {
         label: d

@@ -39,7 +39,10 @@ def measure(
             ess=ess, rhat=LOOSE if ess < LONG else 1.01, budget_seconds=max(0.5, share * seconds),
             seed=seed + turn,
         )  # fmt: skip
-        return sample(table, fit, spec, progress=lambda _share, _what: tell(f"posterior: {ess} samples"))
+        return sample(
+            table, fit, spec, robust=False,
+            progress=lambda _share, _what: tell(f"posterior: {ess} samples"),
+        )  # fmt: skip
 
     try:
         run(SHORT[0], SHORT_SHARE, 0)  # compiles
