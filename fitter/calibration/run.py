@@ -180,7 +180,7 @@ class _Simulator:
         asked = self.request.posterior.model_copy(update={
             "seed": int(rng.integers(2**63)), "noise": "inferred" if self.sigma is None else "table",
         })  # fmt: skip
-        posterior = sample(table, fit, asked, progress=sampling)
+        posterior = sample(table, fit, asked, progress=sampling, robust=False)
         if posterior.status != "converged":
             return posterior.status
         y, effective = self._inside(posterior)
@@ -191,7 +191,7 @@ class _Simulator:
                 return SHORT
             kept = max(asked.keep, math.ceil(2.0 * self.request.draws / share))
             asked = asked.model_copy(update={"ess": more, "keep": kept})
-            posterior = sample(table, fit, asked, progress=sampling)
+            posterior = sample(table, fit, asked, progress=sampling, robust=False)
             y, effective = self._inside(posterior)
             if posterior.status != "converged" or effective < self.request.draws:
                 return SHORT
