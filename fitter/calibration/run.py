@@ -181,7 +181,8 @@ class _Simulator:
             "seed": int(rng.integers(2**63)), "noise": "inferred" if self.sigma is None else "table",
         })  # fmt: skip
         posterior = sample(table, fit, asked, progress=sampling, robust=False)
-        if posterior.status != "converged":
+        # Draws that fill a range, or lie at its end, are draws: only walkers that don't agree are none.
+        if posterior.status == "not_converged":
             return posterior.status
         y, effective = self._inside(posterior)
         if effective < self.request.draws:
@@ -193,7 +194,7 @@ class _Simulator:
             asked = asked.model_copy(update={"ess": more, "keep": kept})
             posterior = sample(table, fit, asked, progress=sampling, robust=False)
             y, effective = self._inside(posterior)
-            if posterior.status != "converged" or effective < self.request.draws:
+            if posterior.status == "not_converged" or effective < self.request.draws:
                 return SHORT
         chosen = y[rng.choice(len(y), self.request.draws, replace=False)]
         ranks = {
