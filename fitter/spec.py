@@ -11,9 +11,9 @@ from pydantic import BaseModel, Field, model_validator
 from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Options, model_spec, validated
 
 __all__ = [
-    "AUTO", "CANON", "FAMILIES", "OPTIONS", "CalibrationSpec", "Draws", "FitSpec", "Likelihood", "Metric",
-    "ModelSpec", "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select", "SelectionSpec", "Solver",
-    "TradeoffSpec", "Weighting", "calibration_spec", "canonical_json", "fit_spec", "model_spec",
+    "AUTO", "CANON", "FAMILIES", "OPTIONS", "Angles", "CalibrationSpec", "Draws", "FitSpec", "Likelihood",
+    "Metric", "ModelSpec", "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select", "SelectionSpec",
+    "Solver", "TradeoffSpec", "Weighting", "calibration_spec", "canonical_json", "fit_spec", "model_spec",
     "posterior_spec", "selection_spec", "tradeoff_spec",
 ]  # fmt: skip
 
@@ -27,6 +27,7 @@ Polish = Literal["full", "subset"]
 NoiseModel = Literal["table", "inferred"]
 Likelihood = Literal["gaussian", "student_t"]
 Draws = Literal["posterior", "robust"]
+Angles = Literal["exact", "offset"]
 Starts = Annotated[int, Field(ge=1, le=1000)]
 SubsetSize = Annotated[int, Field(ge=64, le=1_000_000)]
 Tolerance = Annotated[float, Field(ge=0, lt=1)]
@@ -129,9 +130,9 @@ class PosteriorSpec(Frozen):
     floor as parameters; None takes "table" where sigma is stated, else "inferred".
     ``likelihood`` "student_t" has the same scales and heavier tails. Its ``degrees_of_freedom`` are given,
     not inferred: they and an inferred scale say nearly the same of the data, and few tables can tell them
-    apart. ``angle_uncertainty_deg`` is the standard uncertainty of the instrument's angles, each of which
-    then has an offset that is sampled with it as a normal prior; None takes what the table states, 0 leaves
-    them out.
+    apart. ``angles`` "offset" gives each of the instrument's angles an offset that is sampled, with a normal
+    prior as wide as ``angle_uncertainty_deg``, or as the table states where that is None; given, it asks for
+    offsets by itself. "exact" is the default since offsets of a model that misfits go where the misfit is.
     ``draws`` "robust" rescales the draws to the uncertainty that holds where the residuals of a scan belong
     together (:mod:`fitter.posterior.jackknife`).
     """
@@ -139,6 +140,7 @@ class PosteriorSpec(Frozen):
     noise: NoiseModel | None = None
     likelihood: Likelihood = "gaussian"
     degrees_of_freedom: Annotated[float, Field(ge=1, le=100)] = 4.0
+    angles: Angles = "exact"
     angle_uncertainty_deg: Annotated[float, Field(ge=0, le=5)] | None = None
     draws: Draws = "posterior"
     ensembles: Annotated[int, Field(ge=2, le=32)] = 4

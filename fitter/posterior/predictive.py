@@ -33,6 +33,9 @@ FloatArray = NDArray[np.float64]
 #: Samples that the size of residuals is read off, at most.
 SCALED_FROM = 4_000
 
+#: Fewer incidences than this say nothing about new ones.
+FEWEST_SCANS = 3
+
 New = Literal["directions", "scans"]
 
 
@@ -129,7 +132,7 @@ def predictive(
     covariance = fit.covariance if robust is None else robust.covariance
     few = slice(CONDITIONED_ON)
     moved = slopes(fit.model, fit.labels, covariance, wi[few], wo[few])
-    scan = blocks(wi, wo, 1, isotropic=fit.model.isotropic(fit.spec.model))
+    scan = blocks(wi, wo, 1, isotropic=fit.model.isotropic(fit.spec.model), fewest=FEWEST_SCANS)
     kinds: list[New] = ["directions"] if scan.kind is None else ["directions", "scans"]
     found = chosen(y, f, at, moved, [None, scan.block][: len(kinds)])
     return Predictive(

@@ -161,7 +161,13 @@ def sample(
 
 def _angles(table: Table, request: PosteriorSpec) -> FloatArray:
     """(2 or 3,) standard uncertainties of the instrument's angles in radians; none, no offsets."""
-    stated = table.metadata.angle_uncertainty or 0.0
-    given = request.angle_uncertainty_deg
-    width = stated if given is None else np.deg2rad(given)
+    given, stated = request.angle_uncertainty_deg, table.metadata.angle_uncertainty
+    if given is None and request.angles == "exact":
+        return np.zeros(0)
+    if given is None and not stated:
+        raise SpecError(
+            "offsets of the angles need their standard uncertainty, and the table states none",
+            code="angles-need-uncertainty", parameter="angles", remedy="give angle_uncertainty_deg",
+        )  # fmt: skip
+    width = float(stated or 0.0) if given is None else float(np.deg2rad(given))
     return np.full(len(ANGLES) - table.domain.in_plane if width > 0 else 0, width)

@@ -100,6 +100,12 @@ def write_up(
             f"the table's common scale uncertainty of {100 * scale:.2g} % is not in these draws: it adds to "
             "the uncertainty of every albedo, as the report states it"
         )
+    stated = table.metadata.angle_uncertainty
+    if stated and request.angles == "exact" and request.angle_uncertainty_deg is None:
+        warnings.append(
+            f"the table's angle uncertainty of {np.rad2deg(stated):.2g} deg is not in these draws: the "
+            "report propagates it, and angles 'offset' samples it"
+        )
     for k, label in enumerate(labels):
         if label.endswith("_offset"):
             off = float(sampled[:, k].mean() / runs[0].units[runs[0].labels.index(label)])

@@ -48,10 +48,12 @@ class Blocks:
         return int(self.fold.max()) + 1 if self.kind else 0
 
 
-def blocks(wi: FloatArray, wo: FloatArray, folds: int, *, isotropic: bool) -> Blocks:
+def blocks(
+    wi: FloatArray, wo: FloatArray, folds: int, *, isotropic: bool, fewest: int = FEWEST_BLOCKS
+) -> Blocks:
     """Blocks of the samples (n, 3) and at most ``folds`` folds of them, every folds-th block in the same one.
 
-    Blocks are incident polar angles, all azimuths together. Where there are fewer than four of them they are
+    Blocks are incident polar angles, all azimuths together. Where there are fewer than ``fewest`` they are
     incident directions (anisotropic tables), and else scattered polar angles; so they are where it is the
     light that moved along a scan.
     """
@@ -63,7 +65,7 @@ def blocks(wi: FloatArray, wo: FloatArray, folds: int, *, isotropic: bool) -> Bl
     light_moved = _sparse(theta_i) and not wide and _count(columns) >= FEWEST_BLOCKS
     if light_moved:
         return _dealt(columns, folds, "theta_o", scattered)
-    if _count(rings) >= FEWEST_BLOCKS:
+    if _count(rings) >= fewest:
         what = "bands of theta_i, 7.5 deg wide" if bands else "incident polar angles"
         return _dealt(rings, folds, "theta_i", what)
     several = _count(rings) > 1

@@ -121,7 +121,7 @@ def test_the_verdict_on_posteriors_of_known_width(
     table, fit = plain
     count = 0
 
-    def sample(table: fitter.Table, fit: Any, asked: Any, progress: Any) -> Any:
+    def sample(table: fitter.Table, fit: Any, asked: Any, **_: Any) -> Any:
         nonlocal count
         truth = state["truths"].draw(np.random.default_rng([3, count]))
         count += 1

@@ -109,12 +109,13 @@ def turned(offset_deg, seed=3, stated=None):
 def test_an_angle_offset_is_found_and_the_parameters_with_it():
     table = turned(0.5, stated=0.4)
     fit = fitter.fit(table, "ward")
-    post = fitter.posterior(table, fit, **QUICK)
+    post = fitter.posterior(table, fit, angles="offset", **QUICK)
     assert post.labels[-3:] == ("theta_i_offset", "theta_o_offset", "phi_offset")
     # theta_i and theta_o move the mirror direction alike: their difference is what is measured.
     difference = draws_of(post, "theta_o_offset") - draws_of(post, "theta_i_offset")
     assert np.rad2deg(difference.mean()) == pytest.approx(0.5, abs=0.1)
-    left_out = fitter.posterior(table, fit, angle_uncertainty_deg=0.0, **QUICK)
+    left_out = fitter.posterior(table, fit, **QUICK)
+    assert any("angle uncertainty of 0.4 deg is not in these draws" in one for one in left_out.warnings)
     assert not any(label.endswith("_offset") for label in left_out.labels)
     off, wide = (
         abs(draws_of(one, "alpha").mean() - 0.1) / draws_of(one, "alpha").std() for one in (left_out, post)
@@ -183,6 +184,8 @@ def test_a_common_scale_error_is_named_and_not_sampled():
     fit = fitter.fit(table, "ward")
     with_it, without = fitter.posterior(table, fit, **QUICK), fitter.posterior(made, fit, **QUICK)
     np.testing.assert_array_equal(with_it.draws, without.draws)
+    with pytest.raises(SpecError, match="the table states none"):
+        fitter.posterior(table, fit, angles="offset")
     assert any("scale uncertainty of 3 % is not in these draws" in warning for warning in with_it.warnings)
 
 

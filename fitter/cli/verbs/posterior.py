@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 #: What each setting of a PosteriorSpec is, for --help. Its name, type, default and limits are the spec's.
 SETTINGS = {
     "degrees_of_freedom": "of student_t, whose scale is sigma; they are given, not inferred",
-    "angle_uncertainty_deg": "standard uncertainty of the instrument's angles, whose offsets are then "
-    "sampled (default: as the table states; 0: none)",
+    "angle_uncertainty_deg": "standard uncertainty of the instrument's angles: their offsets are sampled",
     "ensembles": "independent ensembles of walkers",
     "walkers": "walkers in each ensemble (default: by the number of parameters)",
     "rhat": "converged when R-hat over all walkers of all ensembles is below this",
@@ -34,7 +33,7 @@ SETTINGS = {
 def configure(parser: argparse.ArgumentParser) -> None:
     from typing import get_args
 
-    from fitter.spec import Draws, Likelihood, NoiseModel, PosteriorSpec
+    from fitter.spec import Angles, Draws, Likelihood, NoiseModel, PosteriorSpec
 
     parser.add_argument("result", metavar="RESULT.json", help="a fit that `fit` wrote or printed")
     parser.add_argument("--model", metavar="NAME", help="which fit, where the file holds several")
@@ -47,6 +46,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
             "(default: table where it states sigma, else inferred)",
         ),
         ("likelihood", Likelihood, "distribution of the noise (default: gaussian)"),
+        (
+            "angles", Angles, "take the angles as they are, or sample offsets of them, as uncertain as the "
+            "table states (default: exact)",
+        ),
         (
             "draws", Draws, "draws of the posterior, or these rescaled to the uncertainty that holds where "
             "the residuals of a scan belong together (default: posterior)",
@@ -86,7 +89,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     kept = None if given.checkpoint is None else Path(given.checkpoint)
     if kept is None and out is not None:
         kept = out.with_name(f"{out.name}.checkpoint")
-    asked = ("noise", "likelihood", "draws", *SETTINGS)
+    asked = ("noise", "likelihood", "angles", "draws", *SETTINGS)
     spec = posterior_spec({name: getattr(given, name) for name in asked})
     start_numerics(screen)
     from fitter.posterior import sample
