@@ -110,10 +110,12 @@ def _along(
 
 
 def predictive(
-    table: Table | CompressedTable, fit: FitResult, robust: Robust | None = None, seed: int = 0
-) -> Predictive:
+    table: Table | CompressedTable, fit: FitResult, robust: Robust | None = None, seed: int = 0,
+    new: Sequence[New] = ("directions", "scans"),
+) -> Predictive:  # fmt: skip
     """The bands of a fit from the table that was fitted.
 
+    new : the kinds that will be asked for; "scans" only where the table has enough of them.
     robust : of the same fit, for the parameters' part; None takes the fit's own covariance.
     seed : of the choice of samples where the table has many.
 
@@ -133,8 +135,8 @@ def predictive(
     few = slice(CONDITIONED_ON)
     moved = slopes(fit.model, fit.labels, covariance, wi[few], wo[few])
     scan = blocks(wi, wo, 1, isotropic=fit.model.isotropic(fit.spec.model), fewest=FEWEST_SCANS)
-    kinds: list[New] = ["directions"] if scan.kind is None else ["directions", "scans"]
-    found = chosen(y, f, at, moved, [None, scan.block][: len(kinds)])
+    kinds: list[New] = [kind for kind in new if kind == "directions" or scan.kind is not None]
+    found = chosen(y, f, at, moved, [scan.block if kind == "scans" else None for kind in kinds])
     return Predictive(
         template=fit.model,
         labels=fit.labels,

@@ -118,7 +118,7 @@ def complete(
     from fitter import posterior as uncertainty
 
     without = uncertainty.robust(table, fit)
-    bands = uncertainty.predictive(table, fit, without, fit.spec.seed)
+    bands = uncertainty.predictive(table, fit, without, fit.spec.seed, ["directions"])
     offsets = uncertainty.offset_sensitivities(table, fit)
     return build(
         table, fit, posterior, others=others, without_scans=without, bands=bands, offsets=offsets
