@@ -162,7 +162,8 @@ def test_calibration(client: Any, fit: str, wait: Callable[..., Any]) -> None:
 
 
 def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) -> None:
-    answer = client.post("/v1/posteriors", json={"fit": fit, "ess": 50, "budget_seconds": 10, "keep": 100})
+    wanted = {"fit": fit, "ess": 50, "rhat": 1.2, "budget_seconds": 10, "keep": 100}
+    answer = client.post("/v1/posteriors", json=wanted)
     assert answer.status_code == 202
     job = wait(client, answer.headers["location"])
     assert job["state"] == "done", job
