@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import tokenize
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,10 +37,11 @@ async def _body(request: Request) -> bytes:
 Body = Annotated[bytes, Depends(_body)]
 
 
-def preferred(request: Request) -> str:
-    """The media type of the answer: of those that there are the client's first, by quality, then by order."""
+def preferred(accept: str, offered: Collection[str]) -> str:
+    """The media type of the answer, from the header Accept: of those offered the client's first, by quality,
+    then by order; JSON where it names none."""
     ranked: list[tuple[float, str]] = []
-    for part in request.headers.get("accept", "").lower().split(","):
+    for part in accept.lower().split(","):
         kind, *options = (piece.strip() for piece in part.split(";"))
         quality = next((option[2:] for option in options if option.startswith("q=")), "1")
         try:
@@ -48,7 +49,7 @@ def preferred(request: Request) -> str:
         except ValueError:
             ranked.append((-1.0, kind))
     ranked.sort(key=lambda one: one[0])
-    return next((kind for q, kind in ranked if q < 0 and kind in (JSON, NPY, ARROW)), JSON)
+    return next((kind for q, kind in ranked if q < 0 and kind in offered), JSON)
 
 
 def read_pairs(request: Request, body: bytes, limit: int) -> tuple[FloatArray, FloatArray]:
@@ -127,7 +128,7 @@ def respond(
 ) -> Response:
     """``array`` as an Arrow stream or ``.npy`` where the client prefers that, else ``document`` as JSON."""
     both = {"Vary": "Accept", **(headers or {})}
-    kind = preferred(request)
+    kind = preferred(request.headers.get("accept", ""), (JSON, NPY, ARROW))
     if kind == JSON:
         return Response(dumps(document), media_type=kind, headers=both)
     if kind == ARROW:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Response
 
-from api import documents, schemas
+from api import documents, exchange, schemas
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, problems
@@ -139,10 +139,8 @@ def report_pdf(id: str, here: Here) -> Response:
 )  # fmt: skip
 def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header()] = None) -> Response:
     """The report as what the header `Accept` names first: a PDF, a page, or else the record."""
-    wanted = accept or ""
-    named: list[Kind] = [kind for kind, media in MEDIA.items() if media in wanted]
-    named.sort(key=lambda kind: wanted.find(MEDIA[kind]))
-    return _report(here, id, named[0] if named else "json")
+    wanted = exchange.preferred(accept or "", MEDIA.values())
+    return _report(here, id, next(kind for kind, media in MEDIA.items() if media == wanted))
 
 
 @router.get(

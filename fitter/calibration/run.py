@@ -31,7 +31,7 @@ from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable, usable
 from fitter.models import ReflectanceModel
 from fitter.posterior.result import Posterior
-from fitter.posterior.run import sample
+from fitter.posterior.run import noise_of, sample
 from fitter.progress import Cancelled
 from fitter.spec import CalibrationSpec, FitSpec, Select, calibration_spec
 from fitter.table import Table
@@ -69,12 +69,7 @@ def calibrate(
         raise SpecError("give a CalibrationSpec or its fields, not both", code="bad-spec", parameter="spec")
     request = spec or calibration_spec(settings)
     whole = table.decompress() if isinstance(table, CompressedTable) else table
-    kind = request.noise or ("table" if whole.sigma is not None else "inferred")
-    if kind == "table" and whole.sigma is None:
-        raise SpecError(
-            "noise 'table' needs the table's own standard uncertainty, and it states none",
-            code="noise-needs-sigma", parameter="noise", remedy="use noise='inferred'",
-        )  # fmt: skip
+    kind = noise_of(whole, request.noise)
     fit.columns_of(whole)
     data = usable(whole, "absolute", fit.spec.select, anisotropic=not fit.model.isotropic(fit.spec.model))
     from_ = truths(

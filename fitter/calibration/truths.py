@@ -14,7 +14,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +23,7 @@ from fitter.fitting.order import azimuths, in_order, interchangeable, ordered_ax
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
 from fitter.models import ReflectanceModel
+from fitter.models.labelled import place, with_values
 from fitter.posterior.jackknife import vector
 
 FloatArray = NDArray[np.float64]
@@ -97,14 +97,7 @@ class Truths:
 
     def model_of(self, y: FloatArray) -> ReflectanceModel:
         """The model that a vector (P,) stands for."""
-        names = self.model.channels
-        values = {name: np.array(v) for name, v in self.model.values.items()}
-        for label, number in zip(self.labels, self.natural(y), strict=True):
-            name, bracket, channel = label.partition("[")
-            if name in values:
-                values[name][names.index(channel[:-1]) if bracket else ()] = number
-        kept = {name: jnp.asarray(v) for name, v in values.items()}
-        return type(self.model)(spec=self.model.spec, channels=names, values=kept)
+        return with_values(self.model, self.labels, self.natural(y))
 
     def noise_of(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Relative noise and floor (..., C) of vectors (..., P)."""
@@ -209,9 +202,9 @@ def _around(
     """The ranges narrowed to so many standard uncertainties about the estimates, where they have one."""
     low, high = low.copy(), high.copy()
     for k, label in enumerate(labels):
-        name, bracket, channel = label.partition("[")
+        name, where = place(label, fit.model.channels)
         estimate = fit.parameters[name]
-        at = fit.model.channels.index(channel[:-1]) if bracket and estimate.value.ndim else ()
+        at = where if estimate.value.ndim else ()
         y, u = float(estimate.value[at]), float(estimate.standard_uncertainty[at])
         if not u > 0 or not math.isfinite(u):
             continue

@@ -23,6 +23,7 @@ from fitter.directions import half_difference_from_vectors, spherical_from_vecto
 from fitter.errors import SpecError
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import padded
+from fitter.models.labelled import place
 from fitter.models.padded import evaluated
 from fitter.posterior.jackknife import Robust, used_by
 from fitter.posterior.process import CONDITIONED_ON, Process, chosen
@@ -93,8 +94,8 @@ def slopes(
     for k, (value, along) in enumerate(zip(values, vectors.T, strict=True)):
         tangent = {name: np.zeros_like(np.asarray(v)) for name, v in model.values.items()}
         for position, amount in zip(known.tolist(), along * np.sqrt(max(float(value), 0.0)), strict=True):
-            name, _, channel = labels[position].partition("[")
-            tangent[name][model.channels.index(channel[:-1]) if channel else ()] = amount
+            name, where = place(labels[position], model.channels)
+            tangent[name][where] = amount
         found[:, k] = np.asarray(_along(model, {k: jnp.asarray(v) for k, v in tangent.items()}, *wide))[:n]
     return found
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import models, spec
 from fitter.documents import finite_or_none, floats, read_document, write_document
 from fitter.errors import SpecError
+from fitter.models.labelled import with_values
 
 FloatArray = NDArray[np.float64]
 KIND = "brdf-fitter/posterior"
@@ -86,7 +86,7 @@ class Posterior:
 
     def models(self, count: int = PREDICTIVE_DRAWS) -> list[models.ReflectanceModel]:
         """``count`` models, evenly spaced through the draws."""
-        return [self._model(row) for row in self._pick(count)]
+        return [with_values(self.template, self.labels, row) for row in self._pick(count)]
 
     def predict(self, wi: ArrayLike, wo: ArrayLike, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), each (M, C): where a new *measurement* falls with probability ``level``.
@@ -95,7 +95,7 @@ class Posterior:
         """
         rng = np.random.default_rng(self.spec.seed)
         rows = self._pick(PREDICTIVE_DRAWS)
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[self._model(row) for row in rows])
+        stacked = with_values(self.template, self.labels, rows)
         values = np.asarray(jax.vmap(lambda m: m.evaluate(wi, wo))(stacked))
         sigma = self._noise(rows, values)
         freedom = self.noise.get("degrees_of_freedom")
@@ -125,17 +125,6 @@ class Posterior:
             for kind in ("relative_noise", "noise_floor")
         )
         return np.hypot(relative * values, floor)
-
-    def _model(self, row: FloatArray) -> models.ReflectanceModel:
-        names = self.template.channels
-        values = {name: np.array(v) for name, v in self.template.values.items()}
-        for label, number in zip(self.labels, row, strict=True):
-            name, _, channel = label.partition("[")
-            if name in values:
-                values[name][names.index(channel[:-1]) if channel else ()] = number
-        return type(self.template)(
-            spec=self.template.spec, channels=names, values={k: jnp.asarray(v) for k, v in values.items()}
-        )
 
     def to_dict(self) -> dict[str, Any]:
         return {

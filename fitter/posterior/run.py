@@ -24,7 +24,7 @@ from fitter.posterior.looks import FIRST, look_at
 from fitter.posterior.offsets import ANGLES
 from fitter.posterior.result import Posterior
 from fitter.posterior.writeup import write_up
-from fitter.spec import PosteriorSpec, posterior_spec
+from fitter.spec import NoiseModel, PosteriorSpec, posterior_spec
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -73,12 +73,7 @@ def sample(
     request = spec or posterior_spec(settings)
     if isinstance(table, CompressedTable):
         table = table.decompress()
-    kind = request.noise or ("table" if table.sigma is not None else "inferred")
-    if kind == "table" and table.sigma is None:
-        raise SpecError(
-            "noise 'table' needs the table's own standard uncertainty, and it states none",
-            code="noise-needs-sigma", parameter="noise", remedy="use noise='inferred'",
-        )  # fmt: skip
+    kind = noise_of(table, request.noise)
     fit.columns_of(table)
     anisotropic = not fit.model.isotropic(fit.spec.model)
     data = usable(table, "absolute", fit.spec.select, anisotropic=anisotropic)
@@ -157,6 +152,17 @@ def sample(
         table, fit, request, runs, look, history, kind, data, len(index), phases, resumed, plain,
         without_scans,
     )  # fmt: skip
+
+
+def noise_of(table: Table, asked: NoiseModel | None) -> NoiseModel:
+    """The noise asked for, or else the table's sigma where it has one. Raises SpecError where it has none."""
+    kind = asked or ("table" if table.sigma is not None else "inferred")
+    if kind == "table" and table.sigma is None:
+        raise SpecError(
+            "noise 'table' needs the table's own standard uncertainty, and it states none",
+            code="noise-needs-sigma", parameter="noise", remedy="use noise='inferred'",
+        )  # fmt: skip
+    return kind
 
 
 def _angles(table: Table, request: PosteriorSpec) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from fitter.models.labelled import place
 from fitter.report.fitted import Fitted, display
 from fitter.report.parameters import scale_sensitivity
 from fitter.report.rounding import at_place_of, rounded, significant
@@ -108,9 +109,9 @@ def _scale(fitted: Fitted) -> FloatArray:
     channels = fitted.fit.model.channels
     rows: list[float] = []
     for label in fitted.fit.labels:
-        name, bracket, channel = label.partition("[")
+        name, where = place(label, channels)
         slope = np.atleast_1d(found.get(name, np.zeros(1)))
-        rows.append(float(slope[channels.index(channel[:-1])] if bracket and len(slope) > 1 else slope[0]))
+        rows.append(float(slope[where or 0] if len(slope) > 1 else slope[0]))
     return np.array(rows)
 
 

@@ -24,6 +24,7 @@ from scipy import special
 from fitter import directions
 from fitter.fitting.samples import padded
 from fitter.models.albedo import quadrature
+from fitter.models.labelled import with_values
 from fitter.models.padded import evaluated
 from fitter.posterior.predictive import slopes
 from fitter.report.budget import Budget
@@ -55,7 +56,7 @@ def section(fitted: Fitted, budget: Budget, posterior: Posterior | None, seed: i
     z = np.random.default_rng([seed, 2]).standard_normal((DRAWS, len(known)))
     centre = np.array([fitted.estimates[label] for label in labels])
     rows = centre + z @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    drawn = _models(model, labels, _reflected(fitted, labels, rows))
+    drawn = with_values(model, labels, _reflected(fitted, labels, rows))
 
     # One call for all directions: of slices, and of the hemispheres that reflectances are integrated over.
     theta_i, theta_o = _angles(fitted)
@@ -183,17 +184,6 @@ def _reflected(fitted: Fitted, labels: list[str], rows: FloatArray) -> FloatArra
     rows = np.where(rows < low, 2.0 * low - rows, rows)
     rows = np.where(rows > high, 2.0 * high - rows, rows)
     return np.clip(rows, low, high)
-
-
-def _models(model: ReflectanceModel, labels: list[str], rows: FloatArray) -> ReflectanceModel:
-    """All of them as one, its values with a leading axis."""
-    values = {name: np.repeat(np.asarray(v)[None], len(rows), axis=0) for name, v in model.values.items()}
-    for k, label in enumerate(labels):
-        name, bracket, channel = label.partition("[")
-        where = (slice(None), model.channels.index(channel[:-1])) if bracket else (slice(None),)
-        values[name][where] = rows[:, k]
-    kept = {k: jnp.asarray(v) for k, v in values.items()}
-    return type(model)(spec=model.spec, channels=model.channels, values=kept)
 
 
 @eqx.filter_jit
