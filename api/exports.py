@@ -7,21 +7,22 @@ import tempfile
 import zipfile
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import Response
+from fastapi import Query, Response
 
 from fitter.export import Subject, target, targets, write
 
 ZIP = "application/zip"
 
 
-def respond_export(subject: Subject, to: str, *, unconverged: bool = False) -> Response:
+def respond_export(subject: Subject, to: str, *, channels: str | None, unconverged: bool = False) -> Response:
     """The file as an attachment; what there is to tell of it as JSON in the header Export-Notes."""
     chosen = target(to)
     with tempfile.TemporaryDirectory(prefix="brdf-fitter-") as folder:
         path = Path(folder) / f"{_file_name(subject.name)}{chosen.suffix}"
-        told = write(subject, to, path, unconverged=unconverged)
+        names = None if channels is None else [name.strip() for name in channels.split(",")]
+        told = write(subject, to, path, channels=names, unconverged=unconverged)
         content = path.read_bytes() if path.is_file() else _zipped(path)
     name = path.name if chosen.suffix else f"{path.name}.zip"
     notes = {"notes": told.to_dict()["notes"], "residuals": told.to_dict()["residuals"]}
@@ -33,6 +34,11 @@ def respond_export(subject: Subject, to: str, *, unconverged: bool = False) -> R
             "Export-Notes": json.dumps(notes),
         },
     )  # fmt: skip
+
+
+ChosenChannels = Annotated[
+    str | None, Query(max_length=10_000, description="only these channels, names with commas between")
+]
 
 
 def media_type(to: str) -> str:

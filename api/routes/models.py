@@ -19,7 +19,7 @@ from api.exchange import (
     respond,
     respond_samples,
 )
-from api.exports import export_responses, media_type, respond_export
+from api.exports import ChosenChannels, export_responses, media_type, respond_export
 from api.openapi import array_request, array_response
 from api.problems import Problem
 from api.routes import Limit, Offset, problems
@@ -137,7 +137,7 @@ def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here)
     responses={**export_responses(tables=False), **problems(404, 422)},
 )  # fmt: skip
 def export(
-    id: str, format: str, here: Here,
+    id: str, format: str, here: Here, channels: ChosenChannels = None,
     unconverged: Annotated[bool, Query(description="also a fit that did not converge")] = False,
 ) -> Response:  # fmt: skip
     """The model as a file of another program; `/v1/export-targets` lists the formats."""
@@ -149,7 +149,7 @@ def export(
         found = subject(FitResult.from_dict(here.results.read(row.id)))
     else:
         found = subject(fitter.models.from_dict(row.document), name=row.name)
-    return respond_export(found, chosen.name, unconverged=unconverged)
+    return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
 
 
 @router.get("/v1/export-targets", response_model=list[schemas.ExportTargetDocument])

@@ -16,7 +16,7 @@ import fitter
 from api import documents, schemas
 from api.blobs import Incoming
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
-from api.exports import export_responses, respond_export
+from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
@@ -234,10 +234,11 @@ def picture(id: str, here: Here) -> Response:
     "/{id}/export/{format}", response_class=Response,
     responses={**export_responses(tables=True), **problems(404, 422)},
 )  # fmt: skip
-def export(id: str, format: str, here: Here) -> Response:
+def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
     """The table as a file of another program; `/v1/export-targets` lists the formats."""
     row = _row(here, id)
-    return respond_export(subject(here.tables.open(row).table, name=row.name), target(format).name)
+    found = subject(here.tables.open(row).table, name=row.name)
+    return respond_export(found, target(format).name, channels=channels)
 
 
 @router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))

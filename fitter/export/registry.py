@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -42,6 +42,7 @@ class Target:
         target can't hold.
     media_type : what the service calls the file (a folder is sent as a zip archive).
     convention : units and cosine of what is in the file, in a sentence.
+    channels : how many the file can hold, () for any number; ``tristimulus`` : also three named X, Y, Z.
     needs : the package of the extra ``renderers`` without which it can't be written, if any.
     """
 
@@ -53,7 +54,14 @@ class Target:
     convention: str
     write: Callable[[Subject, Path], Written]
     media_type: str = "application/octet-stream"
+    channels: tuple[int, ...] = ()
+    tristimulus: bool = False
     needs: str | None = None
+
+    def holds(self, names: Sequence[str]) -> bool:
+        """Whether the file can hold channels of these names."""
+        xyz = self.tristimulus and list(names) == ["X", "Y", "Z"]
+        return xyz or not self.channels or len(names) in self.channels
 
 
 @cache

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,50 @@ def subject(
     return Subject(
         name or (f"{measured} as {model.spec.name}" if measured else model.spec.name), own,
         "isotropic" if type(model).isotropic(model.spec) else "anisotropic", model=model, fit=fit,
+    )  # fmt: skip
+
+
+def only(what: Subject, names: Sequence[str]) -> Subject:
+    """The subject with these of its channels, in this order. Raises SpecError for one that it has not."""
+    own = [channel.name for channel in what.channels]
+    for name in names:
+        if name not in own or list(names).count(name) > 1:
+            what_is_wrong = "is not there" if name not in own else "is named twice"
+            raise SpecError(
+                f"the channel {name[:64]!r} {what_is_wrong}",
+                code="bad-channels", parameter="channels", remedy=f"the channels are {', '.join(own)}",
+            )  # fmt: skip
+    index = [own.index(name) for name in names]
+    chosen = tuple(what.channels[k] for k in index)
+    if what.table is not None:
+        return replace(what, channels=chosen, table=_columns(what.table, index, chosen))
+    assert what.model is not None
+
+    def of(value: Any) -> Any:
+        return value[np.asarray(index)] if np.ndim(value) else value
+
+    values = {name: of(value) for name, value in what.model.values.items()}
+    model = type(what.model)(spec=what.model.spec, channels=tuple(names), values=values)
+    fit = what.fit
+    if fit is not None:
+        estimates = {
+            name: replace(
+                e, value=of(e.value), standard_uncertainty=of(e.standard_uncertainty),
+                at_bound=tuple(e.at_bound[k] for k in index) if np.ndim(e.value) else e.at_bound,
+            )
+            for name, e in fit.parameters.items()
+        }  # fmt: skip
+        fit = replace(fit, model=model, parameters=estimates)
+    return replace(what, channels=chosen, model=model, fit=fit)
+
+
+def _columns(table: Table, index: list[int], channels: tuple[Channel, ...]) -> Table:
+    """The table with these columns; what is usable stays so."""
+    directions: dict[str, Any] = {"grid": table.grid} if table.grid else {"wi": table.wi, "wo": table.wo}
+    sigma = None if table.sigma is None else table.sigma[:, index]
+    return Table(
+        **directions, value=table.value[:, index], sigma=sigma, channels=channels, mask=table.mask,
+        symmetry=table.symmetry, metadata=table.metadata, negatives="keep", duplicates="keep",
     )  # fmt: skip
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitter.errors import SpecError
 from fitter.export.registry import Target, target
-from fitter.export.subject import Subject, subject
+from fitter.export.subject import Subject, only, subject
 from fitter.formats.registry import Loss
 
 if TYPE_CHECKING:
@@ -48,10 +48,12 @@ class Exported:
 
 def write(
     source: FitResult | ReflectanceModel | Table | CompressedTable | Subject, to: str,
-    path: str | os.PathLike[str], *, name: str | None = None, unconverged: bool = False,
+    path: str | os.PathLike[str], *, name: str | None = None, channels: Sequence[str] | None = None,
+    unconverged: bool = False,
 ) -> Exported:  # fmt: skip
     """Write ``source`` to ``path`` for the target ``to``, a name of :func:`fitter.export.targets`.
 
+    channels : names of those to write, default all.
     unconverged : True also takes a fit that did not converge; the notes say so then.
 
     Raises
@@ -61,6 +63,8 @@ def write(
     """
     entry = target(to)
     what = subject(source, name=name)
+    if channels is not None:
+        what = only(what, channels)
     notes = check(what, entry, unconverged=unconverged)
     written = entry.write(what, Path(path))
     return Exported(
@@ -75,6 +79,13 @@ def check(what: Subject, entry: Target, *, unconverged: bool = False) -> list[Lo
         raise SpecError(
             f"{entry.name} holds a {other}, and this is a {kind}", code="export-wrong-kind", parameter="to",
             remedy="fit a model to the table first" if other == "model" else "export the table itself",
+        )  # fmt: skip
+    names = [channel.name for channel in what.channels]
+    if not entry.holds(names):
+        most = " or ".join(map(str, entry.channels)) + (", or X, Y, Z" if entry.tristimulus else "")
+        raise SpecError(
+            f"{entry.name} holds {most} channels and this has {len(names)} ({', '.join(names)[:80]})",
+            code="export-channels", parameter="channels", remedy="choose with --channels (?channels=)",
         )  # fmt: skip
     fit = what.fit
     if fit is None:

@@ -34,17 +34,20 @@ def fit(table: Table) -> FitResult:
 
 
 def test_every_target_is_documented() -> None:
-    text = DOCS.read_text()
+    rows = {
+        line.split("|")[1].strip(" `"): line for line in DOCS.read_text().splitlines() if line[:3] == "| `"
+    }
     for entry in targets():
-        assert f"| `{entry.name}` |" in text, entry.name
-        assert entry.description[0].islower() or entry.description.split()[0] in text, entry.description
+        takes = " and ".join(["models"] * entry.models + ["tables"] * entry.tables)
+        assert rows[entry.name].split("|")[3].strip() == takes, entry.name
+    assert set(rows) == {entry.name for entry in targets()}
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_fit_is_written_whole_and_named(fit: FitResult, name: str, tmp_path: Path) -> None:
     entry = target(name)
     path = tmp_path / f"material{entry.suffix}"
-    told = write(fit, name, path, name="my paint")
+    told = write(fit, name, path, name="my paint", channels=["R"] if entry.channels == (1,) else None)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.is_file() == bool(entry.suffix)
     assert told.to_dict()["convention"] == entry.convention

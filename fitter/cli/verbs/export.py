@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fitter.cli import reading
 from fitter.cli.screen import Screen, number
-from fitter.cli.values import output_file
+from fitter.cli.values import names, output_file
 from fitter.cli.verb import Outcome, Verb
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="PATH", help="the file, or new folder, to write")
     parser.add_argument("--model", metavar="NAME", help="which fit, of a file that holds several")
     parser.add_argument("--name", help="the material's name in the file (default: the table's)")
+    parser.add_argument("--channels", type=names, metavar="NAME,...", help="only these channels")
     parser.add_argument(
         "--unconverged", action="store_true", help="also export a fit that did not converge, and say so"
     )
@@ -40,7 +41,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     chosen = target(given.to)
     out = output_file(given.out) if chosen.suffix else Path(given.out)
-    told = write(_source(given, screen), given.to, out, unconverged=given.unconverged)
+    source = _source(given, screen)
+    told = write(source, given.to, out, channels=given.channels, unconverged=given.unconverged)
 
     def show(screen: Screen) -> None:
         screen.line(f"{told.path}: {told.name}, as {told.target} ({told.convention})")
