@@ -7,9 +7,9 @@
 
 ``brdf_fitter_model`` is a model of this library, from the file of a fit or a model's document; drawn,
 evaluated and its density stated by the model itself. ``brdf_fitter_table`` is the interpolant of a measured
-table, of any format (option ``quantity`` where the file can't say), drawn from exactly, by rejection. Both take
-one channel or three, read as linear RGB. A table's sampler takes some milliseconds to get to know an incidence:
-it is for comparisons, and a table exported as ``rgl`` for pictures.
+table, of any format (option ``quantity`` where the file can't say), drawn from exactly, by rejection. Both
+take one channel or three, read as linear RGB. A table's sampler takes some milliseconds to get to know an
+incidence: it is for comparisons, and a table exported as ``rgl`` for pictures.
 
 Mitsuba traces from the eye: its wi is the viewer here, and its wo the light. f_r of all models and tables is
 evaluated so; the models are reciprocal, of tables the order matters and is kept.
