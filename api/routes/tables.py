@@ -16,6 +16,7 @@ import fitter
 from api import documents, schemas
 from api.blobs import Incoming
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
+from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
@@ -27,6 +28,7 @@ from api.store import InUse, Missing, new_id
 from api.tables import parse
 from fitter import directions
 from fitter.documents import dumps
+from fitter.export import subject, target
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, Treatment, read_options
@@ -226,6 +228,17 @@ def picture(id: str, here: Here) -> Response:
 
     found = portrait(here.tables.open(_row(here, id)).table)
     return Response(png(draw(found)), media_type="image/png")
+
+
+@router.get(
+    "/{id}/export/{format}", response_class=Response,
+    responses={**export_responses(tables=True), **problems(404, 422)},
+)  # fmt: skip
+def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
+    """The table as a file of another program; `/v1/export-targets` lists the formats."""
+    row = _row(here, id)
+    found = subject(here.tables.open(row).table, name=row.name)
+    return respond_export(found, target(format).name, channels=channels)
 
 
 @router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
