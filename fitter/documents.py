@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from fitter.errors import SpecError
 
+#: The kind of a document that holds several fits of one table.
+FITS = "brdf-fitter/fits"
+
 
 def finite_or_none(array: NDArray[Any]) -> Any:
     """Nested lists with None where not finite: JSON has no NaN."""

@@ -194,6 +194,11 @@ class ModelSpec(Frozen):
         return validated(cls, chosen)
 
     @property
+    def file_name(self) -> str:
+        """The file that a result about it is written to: ":" is no character for file names."""
+        return f"{self.name.replace(':', '-')}.json"
+
+    @property
     def name(self) -> str:
         """The short name that :meth:`parse` reads back, default options left out."""
         options = OPTIONS[self.family]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,57 +13,27 @@ from fitter.errors import SpecError
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
 
-FITS = "brdf-fitter/fits"
-
-
 def remember(result: FitResult, source: Mapping[str, Any]) -> FitResult:
     """The result, knowing which file its table came from and how that was read."""
     return replace(result, table={**result.table, "source": dict(source)})
 
 
-def file_name(model: str) -> str:
-    """The file a model's result is written to: ":" is no character for file names."""
-    return f"{model.replace(':', '-')}.json"
-
-
-def load_results(path: str | Path) -> list[FitResult]:
-    """The fits in a file that ``fit --out`` wrote or ``fit --json`` printed: one, or several."""
-    from fitter.documents import read_document
-    from fitter.fitting import FitResult
-
-    document = read_document(Path(path), "not-a-fit")
-    parts = document.get("fits") if document.get("kind") == FITS else [document]
-    if not isinstance(parts, list) or not parts:
-        raise SpecError("there is no fit in it", code="not-a-fit", file=str(path))
-    try:
-        return [FitResult.from_dict(part) for part in parts]
-    except SpecError as error:
-        error.file = error.file or str(path)
-        raise
-
-
 def load_result(path: str | Path, model: str | None = None) -> FitResult:
     """The one fit in a file, or the one of ``model`` where it holds several."""
+    from fitter.fitting.result import load_fits
     from fitter.spec import ModelSpec
 
-    results = load_results(path)
+    results = load_fits(path)
     if model is not None:
         wanted = ModelSpec.parse(model).name
         results = [result for result in results if result.spec.model.name == wanted]
     if len(results) == 1:
         return results[0]
-    names = ", ".join(result.spec.model.name for result in load_results(path))
+    names = ", ".join(result.spec.model.name for result in load_fits(path))
     raise SpecError(
         f"the file holds fits of {names}, and one is needed", code="which-fit", file=str(path),
         parameter="model", remedy="name one with --model",
     )  # fmt: skip
-
-
-def best(results: Sequence[FitResult]) -> FitResult:
-    """The fit with the smallest objective, converged ones first; relative rmse where metrics differ."""
-    asked = {(result.table.get("metric"), result.table.get("weighting")) for result in results}
-    metric = "objective" if len(asked) == 1 else "relative_rmse"
-    return min(results, key=lambda result: (result.status != "converged", result.metrics[metric]))
 
 
 def show_fit(result: FitResult, screen: Screen) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import models, spec
-from fitter.documents import finite_or_none, floats, read_document, write_document
+from fitter.documents import FITS, finite_or_none, floats, read_document, write_document
 from fitter.errors import SpecError
 from fitter.table import Table
 
@@ -153,3 +153,23 @@ class FitResult:
 def load_fit(path: Path | str) -> FitResult:
     """Read a result that :meth:`FitResult.save` or ``brdf-fitter fit --json`` wrote."""
     return FitResult.from_dict(read_document(Path(path), "not-a-fit"))
+
+
+def load_fits(path: Path | str) -> list[FitResult]:
+    """The fits in a file that ``fit --out`` wrote or ``fit --json`` printed: one, or several."""
+    document = read_document(Path(path), "not-a-fit")
+    parts = document.get("fits") if document.get("kind") == FITS else [document]
+    if not isinstance(parts, list) or not parts:
+        raise SpecError("there is no fit in it", code="not-a-fit", file=str(path))
+    try:
+        return [FitResult.from_dict(part) for part in parts]
+    except SpecError as error:
+        error.file = error.file or str(path)
+        raise
+
+
+def best(results: Sequence[FitResult]) -> FitResult:
+    """The fit with the smallest objective, converged ones first; relative rmse where metrics differ."""
+    asked = {(result.table.get("metric"), result.table.get("weighting")) for result in results}
+    metric = "objective" if len(asked) == 1 else "relative_rmse"
+    return min(results, key=lambda result: (result.status != "converged", result.metrics[metric]))

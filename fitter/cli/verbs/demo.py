@@ -28,7 +28,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter import datasets
     from fitter.cli.numerics import start_numerics
-    from fitter.cli.results import best
     from fitter.formats import ReadOptions, describe
     from fitter.spec import FAMILIES, FitSpec, ModelSpec, posterior_spec
 
@@ -64,6 +63,8 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     if failures or not results:
         raise FitError("a model could not be fitted to a bundled table", code="demo-failed")
     lap("fit four models")
+    from fitter.fitting.result import best
+
     chosen = best(results)
     with screen.progress(f"posterior of {chosen.spec.model.name}") as progress:
         posterior = sample(opened.table, chosen, settings, progress=progress)

@@ -184,7 +184,8 @@ def _common(given: argparse.Namespace) -> dict[str, Any]:
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
-    from fitter.cli.results import FITS, file_name, show_fit
+    from fitter.cli.results import show_fit
+    from fitter.documents import FITS
 
     chosen_by = selection(given)
     out = None if given.out is None else output_folder(given.out)
@@ -217,7 +218,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
             show_fit(result, screen)
             screen.line()
         if out is not None and results:
-            screen.line(f"written: {', '.join(str(out / file_name(r.spec.model.name)) for r in results)}")
+            screen.line(f"written: {', '.join(str(out / r.spec.model.file_name) for r in results)}")
 
     if len(results) == 1 and not failures:
         document: dict[str, Any] = results[0].to_dict()
@@ -233,7 +234,8 @@ def _compared(
     out: Path | None, screen: Screen,
 ) -> Outcome:
     """Models compared; the best few are written like named ones, and the comparison beside them."""
-    from fitter.cli.results import FITS, file_name, remember, show_fit
+    from fitter.cli.results import remember, show_fit
+    from fitter.documents import FITS
     from fitter.large import LargeTable
     from fitter.selection import select
 
@@ -243,14 +245,14 @@ def _compared(
     results = [remember(result, source) for result in found.fits]
     if out is not None:
         for result in results:
-            result.save(out / file_name(result.spec.model.name))
+            result.save(out / result.spec.model.file_name)
         found.save(out / "selection.json")
 
     def show(screen: Screen) -> None:
         show_selection(found, screen)
         show_fit(results[0], screen)
         if out is not None:
-            files = [file_name(result.spec.model.name) for result in results]
+            files = [result.spec.model.file_name for result in results]
             screen.line()
             screen.line(f"written: {', '.join(str(out / name) for name in [*files, 'selection.json'])}")
 
@@ -293,7 +295,7 @@ def fit_all(
     out: Path | None, screen: Screen,
 ) -> tuple[list[FitResult], list[dict[str, Any]]]:
     """The fits that worked, each written to ``out`` as soon as it is there, and the others' failures."""
-    from fitter.cli.results import file_name, remember
+    from fitter.cli.results import remember
     from fitter.fitting import fit
 
     results: list[FitResult] = []
@@ -310,7 +312,7 @@ def fit_all(
             continue
         results.append(result)
         if out is not None:
-            result.save(out / file_name(name))
+            result.save(out / spec.model.file_name)
     return results, failures
 
 

@@ -33,15 +33,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
-    from fitter.cli.results import best, load_results
     from fitter.spec import ModelSpec
 
     out = output_folder(given.out)
     start_numerics(screen)
+    from fitter.fitting.result import best, load_fits
     from fitter.posterior import load_posterior
     from fitter.report import complete
 
-    found = [(path, result) for path in given.result for result in load_results(path)]
+    found = [(path, result) for path in given.result for result in load_fits(path)]
     results = [result for _, result in found]
     for path, result in found:
         if result.table.get("hash") != results[0].table.get("hash"):

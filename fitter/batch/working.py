@@ -1,0 +1,243 @@
+"""What a worker does: read the tables of a unit, fit them, write their folders.
+
+Everything is written aside and renamed, the unit's record last: a unit whose record is there is finished,
+whatever became of the worker since.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import shutil
+import time
+import traceback
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fitter.batch.planning import TABLES, Unit
+from fitter.batch.specification import BatchSpec, batch_spec
+from fitter.documents import read_document, write_document
+from fitter.errors import FitterError, SpecError, TableError
+
+if TYPE_CHECKING:
+    from fitter.fitting import FitResult
+    from fitter.posterior import Posterior
+    from fitter.table import Table
+
+_log = logging.getLogger("brdf_fitter.batch")
+
+#: The record of a finished unit, in its folder.
+RECORD = "unit.json"
+KIND = "brdf-fitter/batch-unit"
+
+
+@functools.cache
+def start() -> None:
+    """Get a worker process ready, once: JAX, and the folder that keeps its compiled programs."""
+    from fitter import _jax
+
+    _jax.compile_sooner()
+    folder = _jax.default_cache_folder()
+    try:
+        _jax.use_compilation_cache(folder)
+    except OSError as error:
+        _log.warning("compiled programs are not kept: %s can't be written (%s)", folder, error.strerror)
+
+
+def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -> dict[str, Any]:
+    """Do one unit; its record, which is written to its folder, too. Arguments and result are plain data.
+
+    What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
+    where the disk is full: then nothing else will work either.
+    """
+    start()
+    todo = Unit.from_dict(unit)
+    folder = Path(out) / TABLES / todo.name
+    begun = time.monotonic()
+    tables: list[dict[str, Any]] = []
+    problem: dict[str, Any] | None = None
+    try:
+        opened = _opened(todo)
+        for table, name in zip(opened, _names(todo, opened), strict=True):
+            place = folder if len(opened) == 1 else folder / name
+            tables.append(_table(table, name, place, batch_spec(spec), todo, Path(out)))
+    except FitterError as error:
+        problem = error.to_dict()
+    except OSError:
+        raise
+    except Exception as error:  # one table's fault, whatever it is, must not end the others'
+        traceback.print_exc()
+        problem = {
+            "code": "internal", "message": f"{type(error).__name__}: {error}", "file": todo.paths[0],
+            "cause": "a fault of the program; the worker's output has the details", "remedy": "report it",
+        }  # fmt: skip
+    record = {
+        "kind": KIND, "key": key, "unit": todo.to_dict(), "seconds": time.monotonic() - begun,
+        "tables": tables, "error": problem,
+    }  # fmt: skip
+    write_document(record, folder / RECORD)
+    return record
+
+
+def finished(unit: Unit, key: str, out: Path) -> dict[str, Any] | None:
+    """The record of a unit that was done as asked now, without an error; else None."""
+    path = out / TABLES / unit.name / RECORD
+    if not path.exists():
+        return None
+    try:
+        record = dict(read_document(path, "not-a-batch"))
+    except SpecError:
+        return None  # done again, which mends it
+    same = record.get("kind") == KIND and record.get("key") == key and record.get("error") is None
+    return record if same else None
+
+
+def _opened(unit: Unit) -> list[Table]:
+    from fitter.formats import load_all
+
+    options = dict(unit.reading)
+    if unit.member is None:
+        paths: Any = unit.paths[0] if len(unit.paths) == 1 else list(unit.paths)
+        return load_all(paths, **options)
+    path = Path(unit.paths[0])
+    try:
+        with zipfile.ZipFile(path) as archive:
+            content = archive.read(unit.member)
+    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError, KeyError) as error:
+        raise TableError(
+            f"the archive's member can't be unpacked: {error}", code="archive-damaged", file=path.name,
+            column=unit.member[:80], remedy="fetch the file again",
+        ) from error  # fmt: skip
+    return load_all(content, name=Path(unit.member).name, **options)
+
+
+def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
+    """Of the tables' folders below the unit's: their items' names where there are several."""
+    from fitter.batch.planning import slug
+
+    if len(tables) == 1:
+        return [unit.name]
+    items = [slug(str(table.metadata.provenance.get("item", k))) for k, table in enumerate(tables)]
+    return [item if items.count(item) == 1 else f"{item}-{k}" for k, item in enumerate(items)]
+
+
+def _table(
+    table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path
+) -> dict[str, Any]:
+    """Fit one table; what the summary says of it. Files of an earlier attempt go first."""
+    from fitter.batch.pictures import draw
+    from fitter.fitting.result import best
+
+    begun = time.monotonic()
+    if place.exists():
+        shutil.rmtree(place)
+    path = unit.paths[0] if len(unit.paths) == 1 else list(unit.paths)
+    source: dict[str, Any] = {"path": path, "options": dict(unit.reading)}
+    if unit.member is not None:
+        source["member"] = unit.member
+    described: dict[str, Any] = {
+        "table": unit.name if name == unit.name else f"{unit.name}/{name}",
+        "folder": str(place.relative_to(out)), "path": unit.paths[0], "member": unit.member,
+        "format": table.metadata.source_format, "sha256": table.metadata.sha256, "hash": table.hash,
+        "samples": len(table), "usable": table.usable, "channels": [c.name for c in table.channels],
+        "read_seconds": table.load_seconds, "fits": [], "notes": [],
+    }  # fmt: skip
+    results: list[FitResult] = []
+    for model, found in _fits(table, spec):
+        if isinstance(found, FitterError):
+            described["fits"].append({"model": model, "error": found.to_dict()})
+            continue
+        found = _remembering(found, source)
+        found.save(place / found.spec.model.file_name)
+        results.append(found)
+        described["fits"].append(row_of(found))
+    if results:
+        chosen = best(results)
+        described["best"] = chosen.spec.model.name
+        posterior = None
+        if spec.posterior is not None:
+            posterior = _posterior(table, chosen, spec, place, described)
+        draw(table, chosen, place)
+        if spec.report:
+            from fitter.report import complete
+
+            others = [one for one in results if one is not chosen]
+            complete(table, chosen, posterior, others=others).save(place)
+        described["notes"] += _exported(chosen, spec.exports, place)
+    described["seconds"] = time.monotonic() - begun
+    return described
+
+
+def _fits(table: Table, spec: BatchSpec) -> list[tuple[str, FitResult | FitterError]]:
+    from fitter.fitting import fit
+    from fitter.selection import select
+    from fitter.spec import SelectionSpec
+
+    if isinstance(spec.models, str):
+        names = set(SelectionSpec.model_fields) & set(BatchSpec.model_fields)
+        chosen = select(table, SelectionSpec(**{name: getattr(spec, name) for name in names}))
+        return [(one.spec.model.name, one) for one in chosen.fits]
+    found: list[tuple[str, FitResult | FitterError]] = []
+    for model in spec.models:
+        try:
+            found.append((model.name, fit(table, spec.fit_spec(model))))
+        except FitterError as error:
+            found.append((model.name, error))
+    return found
+
+
+def _remembering(result: FitResult, source: Mapping[str, Any]) -> FitResult:
+    from dataclasses import replace
+
+    return replace(result, table={**result.table, "source": dict(source)})
+
+
+def row_of(result: FitResult) -> dict[str, Any]:
+    """A fit as the summary has it."""
+    document = result.to_dict()
+    return {
+        "model": result.spec.model.name, "file": result.spec.model.file_name, "status": result.status,
+        "metric": result.table.get("metric"), "metrics": document["metrics"],
+        "parameters": document["parameters"], "model_channels": list(result.model.channels),
+        "seconds": result.seconds, "warnings": list(result.warnings),
+    }  # fmt: skip
+
+
+def _posterior(
+    table: Table, fit: FitResult, spec: BatchSpec, place: Path, described: dict[str, Any]
+) -> Posterior | None:
+    from fitter.posterior import sample
+
+    assert spec.posterior is not None
+    kept = place.with_name(f".{place.name}.checkpoint")
+    try:
+        found = sample(table, fit, spec.posterior, checkpoint=kept)
+    except FitterError as error:
+        described["posterior"] = {"error": error.to_dict()}
+        return None
+    found.save(place / "posterior.json")
+    if kept.exists():
+        shutil.rmtree(kept)
+    described["posterior"] = {
+        "model": fit.spec.model.name, "status": found.status, "seconds": found.seconds,
+        "intervals": found.intervals(), "warnings": list(found.warnings),
+    }  # fmt: skip
+    return found
+
+
+def _exported(fit: FitResult, targets: Sequence[str], place: Path) -> list[dict[str, Any]]:
+    """Write the exports; what they have to tell, and why one was refused."""
+    from fitter import export
+
+    notes: list[dict[str, Any]] = []
+    for name in targets:
+        entry = export.target(name)
+        try:
+            written = export.write(fit, name, place / f"{name}{entry.suffix}")
+        except FitterError as error:
+            notes.append({"export": name, "error": error.to_dict()})
+            continue
+        notes += [{"export": name, "code": note.code, "note": note.message} for note in written.notes]
+    return notes

@@ -1,0 +1,206 @@
+"""Batches run, stopped, resumed, on real workers, and compared."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+import fitter
+from fitter.batch import Plan, batch_spec, compare, estimate, plan, run
+from fitter.errors import FitError, SpecError
+from fitter.progress import Cancelled
+from tests.batch.conftest import Write
+
+#: Quick to fit, quick to compile.
+SPEC = {"models": ["oren_nayar", "ward"], "report": False}
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory, write_table: Write) -> Path:
+    folder = tmp_path_factory.mktemp("tables")
+    for k, albedo in enumerate((0.2, 0.5, 0.8)):
+        write_table(folder / f"t{k}.csv", albedo)
+    (folder / "unreadable.csv").write_text("theta_i_deg,theta_o_deg\n1,2\n")
+    return folder
+
+
+def _planned(tables: Path, **keywords: Any) -> Plan:
+    return plan(batch_spec({"tables": [str(tables)], **SPEC, **keywords}))
+
+
+@pytest.fixture(scope="module")
+def done(tables: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A batch of three good tables and a bad one, done in this process."""
+    out = tmp_path_factory.mktemp("batch")
+    found = run(_planned(tables), out, workers=1)
+    assert (found.done, found.kept, found.failed) == (4, 0, 1)
+    return out
+
+
+def _rows(out: Path) -> list[dict[str, str]]:
+    with (out / "summary.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_results_summary_and_index(done: Path):
+    rows = _rows(done)
+    assert [(row["table"], row["model"], row["status"]) for row in rows] == [
+        *((f"t{k}", model, "converged") for k in range(3) for model in ("oren_nayar", "ward")),
+        ("unreadable", "", "failed"),
+    ]  # fmt: skip
+    assert "value" in rows[-1]["error"]
+    fit = fitter.load_fit(done / "tables" / "t1" / "oren_nayar.json")
+    row = rows[2]
+    assert float(row["rho[value]"]) == pytest.approx(float(fit.parameters["rho"].value[0]), rel=1e-12)
+    u = float(fit.parameters["rho"].standard_uncertainty[0])
+    assert float(row["u(rho[value])"]) == pytest.approx(u, rel=1e-12)
+    assert abs(float(row["rho[value]"]) - 0.5) < 5 * u
+    packed = pyarrow.parquet.read_table(done / "summary.parquet").to_pylist()
+    assert [one["rmse"] for one in packed[:6]] == [float(one["rmse"]) for one in rows[:6]]
+    assert packed[-1]["rmse"] is None
+    page = (done / "index.html").read_text()
+    assert page.count("<tr data-status") == 4
+    for name in ("slice.png", "residuals.png"):
+        assert f'src="tables/t0/{name}"' in page
+        assert (done / "tables" / "t0" / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_done_again_is_not_done_again(done: Path, tables: Path):
+    before = {path: path.stat().st_mtime_ns for path in done.glob("tables/t*/*.json")}
+    found = run(_planned(tables), done, workers=1)
+    assert (found.done, found.kept) == (1, 3)  # the failed one may have been mended
+    assert {path: path.stat().st_mtime_ns for path in done.glob("tables/t*/*.json")} == before
+
+
+def test_what_has_changed_is_done_again(tables: Path, tmp_path: Path, write_table: Write):
+    table = write_table(tmp_path / "t.csv", 0.3)
+    spec: dict[str, Any] = {"tables": [str(table)], "models": ["oren_nayar"], "report": False}
+    out = tmp_path / "out"
+    assert run(plan(batch_spec(spec)), out, workers=1).done == 1
+    assert run(plan(batch_spec(spec)), out, workers=1).kept == 1
+    assert run(plan(batch_spec({**spec, "metric": "cosine"})), out, workers=1).done == 1
+    write_table(table, 0.4)
+    assert run(plan(batch_spec({**spec, "metric": "cosine"})), out, workers=1).done == 1
+
+
+def test_stopped_and_resumed(tables: Path, tmp_path: Path, done: Path):
+    def stop(share: float, what: str) -> None:
+        if share > 0.4:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run(_planned(tables), tmp_path, workers=1, progress=stop)
+    assert 1 <= len({row["table"] for row in _rows(tmp_path)}) < 4
+    again = run(_planned(tables), tmp_path, workers=1)
+    assert again.kept >= 1
+    assert _without_times(_rows(tmp_path)) == _without_times(_rows(done))
+
+
+def _without_times(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    return [{name: text for name, text in row.items() if "seconds" not in name} for row in rows]
+
+
+def test_workers_of_a_cluster_one_of_them_killed(tables: Path, tmp_path: Path, done: Path):
+    """The same numbers as in one process, each once."""
+    from distributed import Client, LocalCluster
+
+    killed: list[int] = []
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", local_directory=str(tmp_path / "dask")
+    ) as cluster, Client(cluster, set_as_default=False) as client:  # fmt: skip
+
+        def kill(share: float, what: str) -> None:
+            pids = client.run(os.getpid)
+            if not killed and "running" in what:
+                killed.append(next(iter(pids.values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        out = tmp_path / "out"
+        found = run(_planned(tables), out, scheduler=cluster.scheduler_address, progress=kill)
+    assert killed
+    assert (found.done, found.failed) == (4, 1)
+    assert _without_times(_rows(out)) == _without_times(_rows(done))
+
+
+def test_a_scheduler_that_is_not_there(tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("fitter.batch.running._PATIENCE", 0.5)
+    with pytest.raises(SpecError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
+        run(_planned(tables), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+
+
+def test_a_full_disk_says_so_and_loses_nothing(tables: Path, tmp_path: Path):
+    """A real limit: no file may grow beyond a few kilobytes."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    out = tmp_path / "out"
+    what = _planned(tables)
+    out.mkdir()
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+        with pytest.raises(FitError, match=r"can't be written|is full") as caught:
+            run(what, out, workers=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert caught.value.code in ("output-unwritable", "disk-full")
+    assert not [path for path in out.rglob("*.json") if _broken(path)]
+    assert run(what, out, workers=1).failed == 1
+
+
+def _broken(path: Path) -> bool:
+    try:
+        json.loads(path.read_text())
+    except ValueError:
+        return True
+    return False
+
+
+def test_an_estimate_is_measured(tables: Path):
+    found = estimate(_planned(tables), workers=2)
+    assert (found.tables, found.fits) == (4, 8)
+    assert found.seconds > 0
+    assert found.memory > 50e6
+    assert 1 <= len(found.tried) <= 3
+
+
+def test_posterior_and_export_of_the_best(tmp_path: Path, write_table: Write):
+    table = write_table(tmp_path / "t.csv", 0.3)
+    posterior = {"ess": 50, "max_samples": 200, "rhat": 1.2, "budget_seconds": 20}
+    spec = batch_spec(
+        {
+            "tables": [str(table)], "models": "oren_nayar", "posterior": posterior, "report": False,
+            "exports": ["python"],
+        }
+    )
+    assert run(plan(spec), tmp_path / "out", workers=1).failed == 0
+    place = tmp_path / "out" / "tables" / "t"
+    assert {"posterior.json", "python.py", "oren_nayar.json"} <= {path.name for path in place.iterdir()}
+    (row,) = _rows(tmp_path / "out")
+    assert row["posterior"]
+    assert float(row["lower95(rho[value])"]) < float(row["rho[value]"]) < float(row["upper95(rho[value])"])
+
+
+def test_batches_and_fits_compared(done: Path, tables: Path, tmp_path: Path):
+    same = compare(done, done)
+    assert (len(same.changed), same.compared) == (0, 6)
+    run(_planned(tables, seed=5, metric="relative"), tmp_path / "b", workers=1)
+    other = compare(done, tmp_path / "b")
+    assert (other.compared, other.parameters) == (6, same.parameters)
+    a, b = (done / "tables" / f"t{k}" / "oren_nayar.json" for k in (0, 1))
+    (albedo,) = [one for one in compare(a, b).changed if one["what"] == "rho[value]"]
+    assert albedo["score"] > 20
+    u = np.hypot(albedo["u_a"], albedo["u_b"])
+    assert albedo["score"] == pytest.approx((albedo["b"] - albedo["a"]) / u)
+    with pytest.raises(SpecError, match="one is a batch"):
+        compare(done, a)
+    with pytest.raises(SpecError, match="holds no batch"):
+        compare(done, tmp_path)
