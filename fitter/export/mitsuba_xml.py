@@ -25,7 +25,7 @@ def snippet(
     name = re.sub(r"\W+", "_", subject.name, flags=re.ASCII).strip("_")[:60] or "material"
     comments = [*subject.comments(), refit.sentence(), *_CONVENTION]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', '<scene version="3.0.0">']
-    lines += [f"  <!-- {escape(line).replace('--', '- -')} -->" for line in comments]
+    lines += [f"  <!-- {escape(line)} -->" for line in comments]
     lines += [f'  <bsdf type="{kind}" id="{name}">']
     lines += [f'    <string name="{key}" value="{value}"/>' for key, value in words.items()]
     for key, colour in colours.items():

@@ -20,6 +20,9 @@ from fitter.models import ReflectanceModel
 from tests.export.conftest import make
 from tests.export.test_mitsuba import evaluated, mi  # noqa: F401 (a fixture)
 
+#: A material's name that would end a comment, a line or a string in one language or another.
+NASTY = 'worn --> <brass> */ \\ " & \x01 é\n\\'
+
 REFITS = ("gltf", "materialx", "mitsuba-principled", "mitsuba-conductor", "radiance")
 
 
@@ -80,7 +83,7 @@ def test_gltf_finds_the_material_that_it_is(tmp_path: Path) -> None:
 
 def test_materialx_validates(metal: ReflectanceModel, tmp_path: Path) -> None:
     mx: Any = pytest.importorskip("MaterialX", reason="NO MATERIALX: its documents are not validated")
-    write(metal, "materialx", tmp_path / "m.mtlx", name="worn -- <brass>")
+    write(metal, "materialx", tmp_path / "m.mtlx", name=NASTY)
     library = mx.createDocument()
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
     document = mx.createDocument()
@@ -99,7 +102,7 @@ def test_materialx_validates(metal: ReflectanceModel, tmp_path: Path) -> None:
 def test_mitsuba_has_the_formulas_that_were_fitted(mi: Any, metal: ReflectanceModel, tmp_path: Path) -> None:  # noqa: F811
     wi, wo = (w[::4] for w in compared_pairs(subject(metal)))
     for name in ("mitsuba-principled", "mitsuba-conductor"):
-        found = write(metal, name, tmp_path / "m.xml", name="brass").residuals["parameters"]
+        found = write(metal, name, tmp_path / "m.xml", name=NASTY).residuals["parameters"]
         scene = mi.load_file(str(tmp_path / "m.xml"))
         del scene
         bsdf = _bsdf(mi, name, found)

@@ -25,7 +25,7 @@ def write(subject: Subject, path: Path) -> Written:
     ]
     comments = [*subject.comments(), found.sentence(), f"{TARGET.convention}."]
     lines = ['<?xml version="1.0"?>', '<materialx version="1.38" colorspace="lin_rec709">']
-    lines += [f"  <!-- {escape(line).replace('--', '- -')} -->" for line in comments]
+    lines += [f"  <!-- {escape(line)} -->" for line in comments]
     lines += [f'  <gltf_pbr name="surface_{name}" type="surfaceshader">']
     lines += [f'    <input name="{key}" type="{kind}" value="{value}" />' for key, kind, value in inputs]
     lines += ["  </gltf_pbr>", f'  <surfacematerial name="material_{name}" type="material">']
