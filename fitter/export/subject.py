@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -94,9 +95,8 @@ class Subject:
 def plain(text: str) -> str:
     """One line of printable ASCII that ends no comment of any language: names are strangers' words."""
     kept = "".join(c if " " <= c <= "~" else "?" for c in one_line(text))
-    return (
-        kept.replace("\\", "/").replace("*/", "* /").replace("--", "- -").replace("<", "(").replace(">", ")")
-    )
+    kept = re.sub(r"-(?=-)", "- ", kept).replace("*/", "* /")
+    return kept.translate(str.maketrans("\\<>", "/()"))
 
 
 def subject(
