@@ -7,6 +7,7 @@ least squares of cube roots, the metric that fits take where nothing is known of
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from fitter.errors import SpecError
 from fitter.export.fidelity import compared_pairs
@@ -80,6 +80,8 @@ def refit(subject: Subject, model: str, unknowns: Sequence[Unknown], evaluate: E
             f"the target has one channel or three, and this has {count}", code="export-channels",
             parameter="channels", remedy="choose three of them with --channels",
         )  # fmt: skip
+    # Takes a quarter of a second, and only here.
+    optimize: Any = importlib.import_module("scipy.optimize")
     wi, wo = compared_pairs(subject, _PAIRS)
     ours, outside = subject.evaluate(wi, wo)
     kept = ~outside & np.isfinite(ours).all(axis=1) & (ours >= 0).all(axis=1)
