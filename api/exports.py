@@ -7,11 +7,14 @@ import tempfile
 import zipfile
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import Query, Response
 
-from fitter.export import Subject, target, targets, write
+from fitter.export import Subject, target, targets, write, write_draws
+
+if TYPE_CHECKING:
+    from fitter.posterior import Posterior
 
 ZIP = "application/zip"
 
@@ -47,15 +50,41 @@ def media_type(to: str) -> str:
     return chosen.media_type if chosen.suffix else ZIP
 
 
+def respond_draws(
+    posterior: Posterior, to: str, count: int, *, channels: str | None, unconverged: bool
+) -> Response:
+    """Draws of a posterior, each a file of a zip archive."""
+    chosen = target(to)
+    names = None if channels is None else [name.strip() for name in channels.split(",")]
+    with tempfile.TemporaryDirectory(prefix="brdf-fitter-") as folder:
+        told = write_draws(
+            posterior, chosen.name, Path(folder), count, channels=names, unconverged=unconverged
+        )
+        content = _zipped(Path(folder))
+    headers = {
+        "Content-Disposition": 'attachment; filename="draws.zip"',
+        "Export-Notes": json.dumps({"notes": told.to_dict()["notes"], "residuals": {}}),
+    }
+    return Response(content, media_type=ZIP, headers=headers)
+
+
+_HEADER = {"description": "JSON: notes, and the residuals of a refit", "schema": {"type": "string"}}
+
+
+def draws_responses() -> dict[int | str, dict[str, Any]]:
+    """The 200 answer of a route that exports draws."""
+    header = {"Export-Notes": _HEADER}
+    return {200: {"description": "A zip archive", "content": {ZIP: {}}, "headers": header}}
+
+
 def export_responses(*, tables: bool) -> dict[int | str, dict[str, Any]]:
     """The 200 answers of a route that exports tables, or models."""
     some = [entry for entry in targets() if (entry.tables if tables else entry.models)]
     content = {media_type(entry.name).partition(";")[0]: {} for entry in some}
-    header = {"description": "JSON: notes, and the residuals of a refit", "schema": {"type": "string"}}
     return {
         200: {
             "description": "The file; a folder comes as a zip archive", "content": content,
-            "headers": {"Export-Notes": header},
+            "headers": {"Export-Notes": _HEADER},
         }
     }  # fmt: skip
 

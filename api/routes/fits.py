@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Query, Response
 
 from api import documents, exchange, schemas
+from api.exports import ChosenChannels, draws_responses, respond_draws
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, problems
@@ -153,7 +154,27 @@ def posterior(id: str, here: Here) -> Response:
     if row is None:
         raise Problem.not_found("posterior", id)
     links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
+    links["export"] = f"/v1/posteriors/{id}/export/{{format}}"
     return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+
+
+@router.get(
+    "/posteriors/{id}/export/{format}", response_class=Response,
+    responses={**draws_responses(), **problems(404, 422)}, tags=["posteriors"],
+)  # fmt: skip
+def posterior_export(
+    id: str, format: str, here: Here,
+    draws: Annotated[int, Query(ge=1, le=16, description="how many, evenly spaced through the posterior")],
+    channels: ChosenChannels = None,
+    unconverged: Annotated[bool, Query(description="also of a posterior that did not converge")] = False,
+) -> Response:  # fmt: skip
+    """Draws of the posterior as a set of materials; `/v1/export-targets` lists the formats."""
+    if here.store.get(PosteriorRow, id) is None:
+        raise Problem.not_found("posterior", id)
+    from fitter.posterior import Posterior  # takes a second, and only here
+
+    found = Posterior.from_dict(here.results.read(id))
+    return respond_draws(found, format, draws, channels=channels, unconverged=unconverged)
 
 
 @router.get(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from fitter.export.draws import write_draws
 from fitter.export.registry import Target, target, targets
 from fitter.export.subject import Subject, subject
 from fitter.export.writing import Exported, write
 
-__all__ = ["Exported", "Subject", "Target", "subject", "target", "targets", "write"]
+__all__ = ["Exported", "Subject", "Target", "subject", "target", "targets", "write", "write_draws"]

@@ -1,40 +1,59 @@
-"""The lobe of a model, as table formats need to know it."""
+"""The lobe of a model about the half vector, from its parameters: where a table of it needs its samples."""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter import directions
 from fitter.export.subject import Subject
-from fitter.formats.rgl_writer import NARROWEST, Lobe, lobe_width
-from fitter.models import ReflectanceModel
+from fitter.formats.rgl_writer import NARROWEST, WIDEST, Lobe
 
 FloatArray = NDArray[np.float64]
 
-_INCIDENCES, _DRAWS, _SEED = (10.0, 45.0, 70.0), 2000, 7
+
+def _half(n: FloatArray) -> FloatArray:
+    """Roughness of a power of the half vector's cosine."""
+    return np.sqrt(2.0 / (n + 2.0))
+
+
+def _mirrored(n: FloatArray) -> FloatArray:
+    """Roughness of a power of a cosine about the mirror direction, whose angle is twice that of the half
+    vector."""
+    return np.sqrt(1.0 / (2.0 * n + 1.0))
+
+
+#: What a parameter of that name says of GGX's alpha.
+_WIDTHS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "alpha": lambda a: a, "alpha_x": lambda a: a, "alpha_y": lambda a: a, "s": lambda s: s,
+    "roughness": np.square, "nu": _half, "nv": _half,
+}  # fmt: skip
+#: Powers are of the half vector's cosine in these families, of the mirror direction's in others.
+_OF_HALF = ("torrance_sparrow", "blinn_phong")
+#: Before the parameters of a component, and behind those of one of several lobes.
+_AFFIXES = re.compile(r"^(?:(?:[a-f]|base|facet)_)+|_\d$")
 
 
 def lobe_of(subject: Subject) -> Lobe:
-    """The lobe about the half vector: of a model with two widths its own, else one that draws show."""
+    """The narrowest lobe: a model's own axes and roughness where it has them, else one that is wide enough
+    for what has no lobe. No narrower than float32's directions can tell apart."""
     assert subject.model is not None
-    values = subject.model.values
+    model = subject.model
+    values = {name: np.asarray(value, np.float64) for name, value in model.values.items()}
     if "alpha_x" in values:
-        # A mirror's samples would lie within the rounding of float32.
-        along, across, psi = (float(np.mean(np.asarray(values[k]))) for k in ("alpha_x", "alpha_y", "psi"))
-        return Lobe(max(along, NARROWEST), max(across, NARROWEST), psi)
-    alpha = _width(subject, subject.model)
+        along, across = (_held(float(values[k].min())) for k in ("alpha_x", "alpha_y"))
+        return Lobe(along, across, float(values["psi"].mean()))
+    power = _half if model.spec.family in _OF_HALF else _mirrored
+    found = [
+        float(width(value).min())
+        for name, value in values.items()
+        if (width := {**_WIDTHS, "n": power}.get(_AFFIXES.sub("", name))) is not None
+    ]
+    alpha = _held(min(found, default=WIDEST))
     return Lobe(alpha, alpha)
 
 
-def _width(subject: Subject, model: ReflectanceModel) -> float:
-    """GGX's alpha of the lobe, from draws of the model's own sampler."""
-    wi: list[FloatArray] = []
-    wo: list[FloatArray] = []
-    for k, theta in enumerate(_INCIDENCES):
-        incidence = directions.vector_from_spherical(np.deg2rad(theta), np.zeros(()))
-        drawn = model.sample(incidence, _DRAWS, seed=_SEED + k)
-        wo.append(drawn.wo[drawn.valid])
-        wi.append(np.broadcast_to(incidence, wo[-1].shape))
-    pair = np.concatenate(wi), np.concatenate(wo)
-    return lobe_width(*pair, subject.evaluate(*pair)[0].mean(axis=1))
+def _held(alpha: float) -> float:
+    return min(max(alpha, NARROWEST), 1.0)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from fitter._version import __version__
 from fitter.errors import FitError, SpecError
 from fitter.export.fidelity import compared_pairs
-from fitter.export.subject import Subject
-from fitter.formats.output import one_line, write_aside
+from fitter.export.subject import Subject, plain
+from fitter.formats.output import write_aside
 from fitter.formats.registry import Loss
 
 FloatArray = NDArray[np.float64]
@@ -77,11 +77,10 @@ def wrapped(subject: Subject, path: Path, basis: str, data: bytes) -> None:
         component = Path(folder) / "component.dat"
         component.write_bytes(data)
         # wrapBSDF puts fields apart by ; and =.
-        name = re.sub(r"[;=\"'<>&]", " ", one_line(subject.name))[:80]
-        comment = (
-            "f_r in 1/sr, without the cosine, as averages over patches. "
-            + re.sub(r"[<>&]|--", " ", " ".join(subject.comments()))
-        )  # fmt: skip
+        name = re.sub(r"[;=\"'&]", " ", plain(subject.name))[:80]
+        comment = "f_r in 1/sr, without the cosine, as averages over patches. " + re.sub(
+            r"[&]", "+", " ".join(subject.comments())
+        )
         wrapper = tools.WrapBSDF(
             basis=basis, unit="meter", comment=comment, n=name, m=f"brdf-fitter {__version__}", t=0, w=0, h=0
         )

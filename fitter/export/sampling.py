@@ -12,6 +12,7 @@ from fitter.errors import SpecError
 from fitter.export.fidelity import fidelity
 from fitter.export.registry import Written
 from fitter.export.subject import Subject
+from fitter.formats.output import refuse_in_plane
 from fitter.formats.registry import Format
 from fitter.grid import Grid
 from fitter.table import Metadata, Table
@@ -28,6 +29,12 @@ def isotropic(subject: Subject, target: str) -> None:
             f"{target} holds isotropic surfaces and this one is anisotropic", code="export-anisotropic",
             parameter="to", remedy="export it as rgl, which holds both",
         )  # fmt: skip
+
+
+def hemisphere(subject: Subject, target: str) -> None:
+    """Raise TableError for a table of the plane of incidence only."""
+    if subject.table is not None:
+        refuse_in_plane(subject.table, target)
 
 
 def on_grid(subject: Subject, grid: Grid) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,7 @@ _CHUNK = 1 << 16
 class Subject:
     """A model, with the fit it comes from where there is one, or a table: one of ``model`` and ``table``.
 
-    channels : names, and wavelengths where they are known.
+    channels : names, and wavelengths where they are known. remark : a sentence for the head of files.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Subject:
     model: ReflectanceModel | None = None
     fit: FitResult | None = None
     table: Table | None = None
+    remark: str = ""
 
     def evaluate(self, wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, BoolArray]:
         """f_r (M, C) in 1/sr without the cosine, of unit vectors (M, 3), and (M,) where not measured."""
@@ -57,18 +59,18 @@ class Subject:
 
     def comments(self) -> list[str]:
         """Lines for the head of a file: what this is, where it comes from, how good it is."""
-        lines = [f"Written by brdf-fitter {__version__}."]
+        lines = [f"Written by brdf-fitter {__version__}.", *([plain(self.remark)] if self.remark else [])]
         if self.table is not None:
-            return [*lines, f"Measured table {one_line(self.name)}, sha256 {self.table.hash[:16]}."]
+            return [*lines, f"Measured table {plain(self.name)}, sha256 {self.table.hash[:16]}."]
         assert self.model is not None
-        lines.append(f"Model {self.model.spec.name}, channels {', '.join(self.model.channels)}.")
+        lines.append(f"Model {self.model.spec.name}, channels {plain(', '.join(self.model.channels))}.")
         if self.fit is not None:
             table, metrics = self.fit.table, self.fit.metrics
             lines += [
-                f"Fitted to {one_line(str(table.get('name', '')))}, sha256 {str(table.get('hash'))[:16]}: "
+                f"Fitted to {plain(str(table.get('name', '')))}, sha256 {str(table.get('hash'))[:16]}: "
                 f"{self.fit.status.replace('_', ' ')}, rms residual {metrics['rmse']:.3g} 1/sr, "
                 f"{metrics['relative_rmse']:.1%} of the value.",
-                *(f"Warning: {one_line(warning)}" for warning in self.fit.warnings),
+                *(f"Warning: {plain(warning)}" for warning in self.fit.warnings),
             ]
         return lines
 
@@ -82,12 +84,19 @@ class Subject:
             if self.fit is not None and p.name in self.fit.parameters:
                 u = np.broadcast_to(self.fit.parameters[p.name].standard_uncertainty, values.shape)
             for k in range(values.size):
-                label = f"{p.name}[{self.model.channels[k]}]" if values.ndim else p.name
+                label = f"{p.name}[{plain(self.model.channels[k])}]" if values.ndim else p.name
                 spread = float(u.reshape(-1)[k])
                 stated = f" (u = {spread:.2g}, k = 1)" if np.isfinite(spread) else ""
                 unit = "" if p.unit == "1" else f" {p.unit}"
                 found.append(f"{label} = {float(values.reshape(-1)[k]):.6g}{unit}{stated}: {p.description}")
         return found
+
+
+def plain(text: str) -> str:
+    """One line of printable ASCII that ends no comment of any language: names are strangers' words."""
+    kept = "".join(c if " " <= c <= "~" else "?" for c in one_line(text))
+    kept = re.sub(r"-(?=-)", "- ", kept).replace("*/", "* /")
+    return kept.translate(str.maketrans("\\<>", "/()"))
 
 
 def subject(

@@ -87,16 +87,19 @@ def check(what: Subject, entry: Target, *, unconverged: bool = False) -> list[Lo
             f"{entry.name} holds {most} channels and this has {len(names)} ({', '.join(names)[:80]})",
             code="export-channels", parameter="channels", remedy="choose with --channels (?channels=)",
         )  # fmt: skip
-    fit = what.fit
-    if fit is None:
-        return []
-    if fit.status == "not_converged":
+    return [] if what.fit is None else doubts("fit", what.fit.status, what.fit.message, unconverged)
+
+
+def doubts(kind: str, status: str, message: str, unconverged: bool) -> list[Loss]:
+    """What a fit or a posterior says of itself. Raises SpecError where it did not converge, unless that is
+    wanted all the same."""
+    if status == "not_converged":
         if not unconverged:
             raise SpecError(
-                f"the fit did not converge: {fit.message}", code="fit-not-converged", parameter="result",
-                remedy="fit again with more starts; or say that you want it all the same (--unconverged)",
+                f"the {kind} did not converge: {message}", code=f"{kind}-not-converged", parameter="result",
+                remedy="give it more time or starts; or say that you want it all the same (--unconverged)",
             )  # fmt: skip
-        return [Loss("not-converged", f"The fit did not converge: {fit.message}")]
-    if fit.status != "converged":
-        return [Loss(fit.status.replace("_", "-"), f"Of the fit: {fit.message}")]
+        return [Loss("not-converged", f"The {kind} did not converge: {message}")]
+    if status != "converged":
+        return [Loss(status.replace("_", "-"), f"Of the {kind}: {message}")]
     return []

@@ -73,7 +73,7 @@ _ISOTROPIC, _ANISOTROPIC, _AZIMUTHS = (40, np.deg2rad(7.0)), (10, np.deg2rad(15.
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
 #: Widths of the narrowest distribution: a mirror's samples would lie within the rounding of float32; and with
 #: few about the mirror direction, where the mapping is steepest, smooth tables would be off there.
-NARROWEST, _WIDEST = 0.005, 0.2
+NARROWEST, WIDEST = 0.005, 0.2
 #: So many of the table's samples are compared with what the file says of them.
 _COMPARED = 4000
 
@@ -121,13 +121,13 @@ def lobe_width(wi: FloatArray, wo: FloatArray, level: FloatArray) -> float:
     mean = np.bincount(place, product, _NODES)[used] / count[used]
     top, base = float(mean.max()), float(np.median(mean))
     if len(used) < 3 or top <= 2 * base:
-        return _WIDEST
+        return WIDEST
     peak = int(mean.argmax())
     below = np.flatnonzero(mean[peak:] < 0.5 * (top + base))
     u = (used[peak + int(below[0])] + 0.5) / _NODES
     half = np.tan(min(u * u, 0.99) * np.pi / 2)
     # D ~ 1 / (cos^4 (alpha^2 + tan^2)^2) is half its height where tan^2 is about (sqrt(2) - 1) alpha^2.
-    return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), NARROWEST, _WIDEST))
+    return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), NARROWEST, WIDEST))
 
 
 def _channels(table: Table) -> tuple[list[int], list[Loss]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -173,3 +175,9 @@ def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) 
     assert document["links"]["fit"] == f"/v1/fits/{fit}"
     assert client.get(f"/v1/fits/{fit}").json()["posteriors"] == [document["id"]]
     assert client.get(f"/v1/fits/{fit}/report.html").status_code == 200
+    export = document["links"]["export"].format(format="c")
+    drawn = client.get(export, params={"draws": 3, "unconverged": True})
+    assert drawn.headers["content-type"] == "application/zip"
+    inside = zipfile.ZipFile(io.BytesIO(drawn.content)).namelist()
+    assert inside == ["draw_0001.c", "draw_0002.c", "draw_0003.c", "draws.json"]
+    assert client.get(export).status_code == 422  # how many?

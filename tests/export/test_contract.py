@@ -13,8 +13,10 @@ import fitter
 from fitter import models
 from fitter.cli.app import main
 from fitter.errors import SpecError
-from fitter.export import subject, target, targets, write
+from fitter.export import subject, target, targets, write, write_draws
 from fitter.fitting import FitResult
+from fitter.posterior import Posterior
+from fitter.spec import posterior_spec
 from fitter.table import Table
 from tests.export.conftest import make
 
@@ -133,8 +135,54 @@ def test_the_service(tmp_path: Path) -> None:
         assert answer.content == (tmp_path / "m.c").read_bytes()
         assert json.loads(answer.headers["export-notes"]) == {"notes": [], "residuals": {}}
         table = client.post("/v1/tables", content=small_table()).json()
+        shown = client.get(table["links"]["export"].format(format="gltf"))
+        assert shown.headers["content-type"] == "model/gltf+json"
+        assert "differs from the table" in json.loads(shown.headers["export-notes"])["notes"][0]["message"]
         for place, wrong in ((link, "obj"), (table["links"]["export"], "c")):
             problem = client.get(place.format(format=wrong))
             assert problem.status_code == 422, problem.text
             assert problem.headers["content-type"] == "application/problem+json"
         assert client.get("/v1/models/0/export/c").status_code == 404
+
+
+@pytest.fixture(scope="module")
+def posterior(fit: FitResult) -> Posterior:
+    """A posterior that is what the fit's covariance says, drawn here."""
+    centre = [float(np.ravel(fit.parameters[label.partition("[")[0]].value)[0]) for label in fit.labels]
+    spread = np.sqrt(np.nan_to_num(np.diag(fit.covariance)))
+    draws = np.random.default_rng(4).normal(centre, spread, (50, len(centre)))
+    return Posterior(
+        spec=posterior_spec({}), fit_spec=fit.spec, template=fit.model, labels=fit.labels,
+        draws=np.abs(draws), noise={}, diagnostics={}, acceptance=0.3, status="converged",
+        message="made here", history=(), cost={"seconds": 0.0}, table=fit.table,
+    )  # fmt: skip
+
+
+def test_draws_are_a_set_of_materials(
+    posterior: Posterior, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = write_draws(posterior, "json", tmp_path / "set", 5)
+    listed = json.loads((tmp_path / "set" / "draws.json").read_text())
+    assert told.path == tmp_path / "set"
+    assert listed["table"]["hash"] == posterior.table["hash"]
+    for entry, model in zip(listed["draws"], posterior.models(5), strict=True):
+        document = json.loads((tmp_path / "set" / entry["file"]).read_text())
+        assert models.from_dict(document["model"]).to_dict() == model.to_dict()
+        assert entry["values"] == model.to_dict()["values"]
+    posterior.save(tmp_path / "p.json")
+    call = ["export", str(tmp_path / "p.json"), "--to", "c", "--out", str(tmp_path / "c")]
+    assert main([*call, "--draws", "3"]) == 0
+    assert len(list((tmp_path / "c").glob("draw_*.c"))) == 3
+    assert "Draw 2 of 3 of the posterior of glossy_paint" in (tmp_path / "c" / "draw_0002.c").read_text()
+    capsys.readouterr()
+    assert main(call) == 2  # how many is not said
+    assert main([*call, "--draws", "3"]) == 2  # the folder is not empty
+    assert "new or empty folder" in capsys.readouterr().err
+    for count in (0, 51):
+        with pytest.raises(SpecError, match="there are 50"):
+            write_draws(posterior, "json", tmp_path / "none", count)
+    lost = replace(posterior, status="not_converged", message="R-hat is 1.3")
+    with pytest.raises(SpecError, match=r"R-hat is 1\.3"):
+        write_draws(lost, "json", tmp_path / "none", 2)
+    assert not (tmp_path / "none").exists()
+    assert write_draws(lost, "json", tmp_path / "lost", 2, unconverged=True).notes[0].code == "not-converged"

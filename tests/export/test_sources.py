@@ -189,3 +189,16 @@ def test_a_model_of_many_channels_is_one_function_of_the_channel(tmp_path: Path)
     assert [note.code for note in told.notes] == ["channels"]
     with pytest.raises(SpecError, match="one channel or three"):
         write(spectral, "disney", tmp_path / "m.brdf")
+
+
+def test_names_end_no_comment(tmp_path: Path) -> None:
+    nasty = "worn --> */ \\ é\n\\"
+    model = create("ward", channels=(nasty, "b", "c", "d\\"), kd=[0.1, 0.2, 0.3, 0.4])
+    for name in ("c", "python", "glsl"):
+        write(model, name, tmp_path / name, name=nasty)
+    source = (tmp_path / "c").rename(tmp_path / "m.c")
+    subprocess.run([_needed("gcc"), "-std=c99", "-Wall", "-Werror", "-fsyntax-only", source], check=True)
+    assert len(runpy.run_path(str(tmp_path / "python"))["brdf"]((0, 0, 1.0), (0, 0, 1.0))) == 4
+    snippet = (tmp_path / "glsl").read_text()
+    assert snippet.isascii()
+    assert "\\" not in snippet

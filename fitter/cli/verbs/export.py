@@ -10,9 +10,10 @@ from fitter.cli import reading
 from fitter.cli.screen import Screen, number
 from fitter.cli.values import names, output_file
 from fitter.cli.verb import Outcome, Verb
+from fitter.errors import SpecError
 
 if TYPE_CHECKING:
-    from fitter.export import Subject
+    from fitter.export import Exported, Subject
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "source", metavar="RESULT.json|TABLE",
-        help="what `fit --out` wrote, a model's document, or a measured table of any format",
+        help="what `fit --out` or `posterior --out` wrote, a model's document, or a table of any format",
     )  # fmt: skip
     parser.add_argument(
         "--to", required=True, choices=[entry.name for entry in targets()], metavar="TARGET",
@@ -31,18 +32,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="the material's name in the file (default: the table's)")
     parser.add_argument("--channels", type=names, metavar="NAME,...", help="only these channels")
     parser.add_argument(
+        "--draws", type=int, metavar="N",
+        help="of what `posterior --out` wrote: N draws, as that many materials in a new folder",
+    )  # fmt: skip
+    parser.add_argument(
         "--unconverged", action="store_true", help="also export a fit that did not converge, and say so"
     )
     reading.add_reading_options(parser)
 
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
-    from fitter.export import target, write
-
-    chosen = target(given.to)
-    out = output_file(given.out) if chosen.suffix else Path(given.out)
-    source = _source(given, screen)
-    told = write(source, given.to, out, channels=given.channels, unconverged=given.unconverged)
+    told = _of_one(given, screen) if given.draws is None else _of_draws(given, screen)
 
     def show(screen: Screen) -> None:
         screen.line(f"{told.path}: {told.name}, as {told.target} ({told.convention})")
@@ -58,6 +58,27 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     return Outcome(told.to_dict(), show)
 
 
+def _of_one(given: argparse.Namespace, screen: Screen) -> Exported:
+    from fitter.export import target, write
+
+    out = output_file(given.out) if target(given.to).suffix else Path(given.out)
+    source = _source(given, screen)
+    return write(source, given.to, out, channels=given.channels, unconverged=given.unconverged)
+
+
+def _of_draws(given: argparse.Namespace, screen: Screen) -> Exported:
+    from fitter.cli.numerics import start_numerics
+    from fitter.export import write_draws
+
+    start_numerics(screen)
+    from fitter.posterior import load_posterior
+
+    return write_draws(
+        load_posterior(given.source), given.to, given.out, given.draws, name=given.name,
+        channels=given.channels, unconverged=given.unconverged,
+    )  # fmt: skip
+
+
 def _source(given: argparse.Namespace, screen: Screen) -> Subject:
     from fitter.cli.numerics import start_numerics
     from fitter.export import subject
@@ -71,6 +92,11 @@ def _source(given: argparse.Namespace, screen: Screen) -> Subject:
     from fitter.documents import read_document
 
     document = read_document(Path(given.source), "not-a-fit")
+    if document.get("kind") == "brdf-fitter/posterior":
+        raise SpecError(
+            "this is a posterior, which is many materials", code="bad-call", file=given.source,
+            parameter="draws", remedy="say how many with --draws N, or give the fit",
+        )  # fmt: skip
     if "kind" not in document and "spec" in document:
         return subject(models.from_dict(document), name=given.name)
     return subject(load_result(given.source, given.model), name=given.name)

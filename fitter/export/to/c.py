@@ -8,8 +8,8 @@ from fitter.export.registry import Target, Written
 from fitter.export.source import formula_of
 from fitter.export.source.formula import DIRECTIONS
 from fitter.export.source.printing import CONVENTION, commented, expression, indented, statements, text
-from fitter.export.subject import Subject
-from fitter.formats.output import one_line, write_aside
+from fitter.export.subject import Subject, plain
+from fitter.formats.output import write_aside
 
 _NAMES = {"min": "fmin", "max": "fmax"}
 
@@ -23,7 +23,7 @@ def write(subject: Subject, path: Path) -> Written:
     lines += [f"// One row a channel: {', '.join(names)}."]
     lines += [f"static const double brdf_parameters[BRDF_CHANNELS][{len(names)}] = {{"]
     lines += [
-        f"    {{{', '.join(repr(float(a.values[k])) for a in formula.arguments)}}},  // {one_line(channel)}"
+        f"    {{{', '.join(repr(float(a.values[k])) for a in formula.arguments)}}},  // {plain(channel)}"
         for k, channel in enumerate(formula.channels)
     ]
     lines += ["};", ""]

@@ -7,7 +7,7 @@ from pathlib import Path
 from fitter.export.registry import Target, Written
 from fitter.export.source import formula_of, glsl
 from fitter.export.source.printing import CONVENTION, commented, text
-from fitter.export.subject import Subject
+from fitter.export.subject import Subject, plain
 from fitter.formats.output import write_aside
 from fitter.formats.registry import Loss
 
@@ -27,7 +27,7 @@ def write(subject: Subject, path: Path) -> Written:
     else:
         lines += ["float brdf(int channel, vec3 wi, vec3 wo) {"]
         lines += [
-            f"    if (channel == {k}) return {one};  // {name}"
+            f"    if (channel == {k}) return {one};  // {plain(name)}"
             for k, (name, one) in enumerate(zip(channels, calls, strict=True))
         ]
         lines += ["    return 0.0;", "}"]

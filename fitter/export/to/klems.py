@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.export import patches
+from fitter.export import patches, sampling
 from fitter.export.fidelity import of_function
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
@@ -23,6 +23,7 @@ _POINTS = 32
 
 def write(subject: Subject, path: Path) -> Written:
     patches.radiance()
+    sampling.hemisphere(subject, "a Klems matrix")
     count = int(_COUNTS.sum())
 
     def place(index: NDArray[np.intp], at: FloatArray) -> tuple[FloatArray, FloatArray]:

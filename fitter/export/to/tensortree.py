@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.export import patches
+from fitter.export import patches, sampling
 from fitter.export.fidelity import fidelity
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
@@ -23,6 +23,7 @@ _CULL = 90
 
 def write(subject: Subject, path: Path) -> Written:
     tools = patches.radiance()
+    sampling.hemisphere(subject, "a tensor tree")
     isotropic = subject.symmetry == "isotropic"
     level, points = _ISOTROPIC if isotropic else _ANISOTROPIC
     n = 1 << level
