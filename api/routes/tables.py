@@ -110,6 +110,8 @@ def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
         id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
         sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
     )  # fmt: skip
+    # Outside first, because it may take long; inside there is nothing to do then, or nearly always.
+    here.blobs.keep(incoming, sha256)
     with here.store.guarding():
         here.blobs.keep(incoming, sha256)
         here.store.add(row)
