@@ -21,7 +21,8 @@ def page(items: Sequence[dict[str, Any]], total: int, limit: int, offset: int) -
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("check", "evaluate", "samples", "slices")}}
+    verbs = ("info", "check", "evaluate", "samples", "slices")
+    links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     return {
         "id": row.id, "name": row.name, "created": when(row.created), "sha256": row.sha256, "bytes": row.size,

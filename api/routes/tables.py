@@ -30,6 +30,7 @@ from fitter.documents import dumps
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, Treatment, read_options
+from fitter.quality import overview
 from fitter.table import Quantity
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
@@ -203,6 +204,14 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
         max_evaluations=wanted.max_evaluations, allow_extrapolated=wanted.allow_extrapolated,
     )  # fmt: skip
     return respond_samples(request, drawn, _channels(opened.table), slices)
+
+
+@router.get("/{id}/info", response_model=schemas.InfoDocument, responses=problems(404, 422))
+def info(id: str, here: Here) -> Response:
+    """What a table's bytes were read as, its noise and its blind spots, as `brdf-fitter info --json` says it."""
+    found = here.tables.open(_row(here, id)).table
+    document = {"kind": "brdf-fitter/table", **describe(found), **overview(found)}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get("/{id}/check", response_model=schemas.CheckDocument, responses=problems(404, 422))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -10,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import uvicorn
 
 from api.app import create_app
 from api.settings import Settings
@@ -77,6 +80,36 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     """One service for all tests that don't need their own."""
     with TestClient(create_app(Settings(folder=tmp_path_factory.mktemp("service")))) as opened:
         yield opened
+
+
+class _Quiet(uvicorn.Server):
+    """A server in a thread, which may not take signals."""
+
+    def capture_signals(self) -> Any:
+        return contextlib.nullcontext()
+
+
+@contextlib.contextmanager
+def listening(app: Any) -> Iterator[str]:
+    """The address of a started application, on a real socket."""
+    config = uvicorn.Config(app, port=0, lifespan="off", log_level="critical", ws="none", server_header=False)
+    server = _Quiet(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+        time.sleep(0.01)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    yield f"http://127.0.0.1:{port}"
+    server.should_exit = True
+    thread.join(30)
+
+
+@pytest.fixture(scope="session")
+def address(client: TestClient) -> Iterator[str]:
+    """That service on a real socket."""
+    with listening(client.app) as url:
+        yield url
 
 
 @pytest.fixture(scope="session")
