@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 import fitter
 from api import openapi, pages, problems
+from api.conditional import Conditional
 from api.limits import BodyLimit, Counted
 from api.routes import fits, health, jobs, models, tables, tradeoffs
 from api.service import Service
@@ -39,6 +40,7 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
     )  # fmt: skip
     app.add_middleware(BodyLimit, settings=settings)
+    app.add_middleware(Conditional)
     app.add_middleware(Counted)
     problems.install(app)
     for room in (tables, fits, tradeoffs, jobs, models, health):

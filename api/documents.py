@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,11 +11,6 @@ from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow, TradeoffRow
 def when(seconds: float) -> str:
     """ISO 8601, UTC, to the millisecond."""
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def page(items: Sequence[dict[str, Any]], total: int, limit: int, offset: int) -> dict[str, Any]:
-    """Part of a list."""
-    return {"items": list(items), "total": total, "limit": limit, "offset": offset}
 
 
 def table(row: TableRow) -> dict[str, Any]:

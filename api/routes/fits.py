@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 
 from api import documents, exchange, schemas
 from api.problems import Problem
 from api.reports import Kind, report
-from api.routes import Limit, Offset, problems
-from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow
+from api.routes import Limit, Offset, page, problems
+from api.rows import CalibrationRow, ModelRow, PosteriorRow, TableRow
 from api.service import Here, Service
-from api.store import new_id
+from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.errors import SpecError
 from fitter.fitting import check
@@ -26,65 +25,58 @@ router = APIRouter(prefix="/v1", tags=["fits"])
 
 
 @router.post(
-    "/fits", status_code=202, response_model=schemas.JobDocument, responses=problems(400, 404, 413, 422, 429)
+    "/fits", status_code=202, response_model=schemas.JobDocument, responses=answers(400, 404, 413, 422, 429)
 )
-def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_fit(
+    wanted: schemas.FitRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Fit one model, or several, to a table, or compare models ("auto"). The answer is a job; when done it
     links one fit a model."""
-    auto = {"candidates", "folds", "budget_seconds"}
-    if wanted.model == AUTO and wanted.models is None:
-        return start(here, response, "fit", wanted.table, {"selection": _selection(wanted)})
-    if misplaced := sorted(auto & wanted.model_fields_set):
-        raise SpecError(
-            f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
-            remedy='give "model": "auto", or leave it out',
-        )  # fmt: skip
-    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"} | auto, exclude_unset=True)
-    chosen = wanted.models if wanted.models is not None else [wanted.model]
-    if (wanted.model is None) == (wanted.models is None):
-        raise SpecError(
-            "exactly one of model and models is needed", code="bad-spec", parameter="model",
-            remedy='give "model": "ward", or "models": ["ward", "lafortune:2"]',
-        )  # fmt: skip
-    specs = [
-        fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
-        for one in chosen if one is not None
-    ]  # fmt: skip
-    if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
-        check(specs[0])
-    request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
-    return start(here, response, "fit", wanted.table, request)
+    return await started(here, response, prefer, "fit", lambda: (wanted.table, _fit_request(wanted)))
 
 
 @router.post(
     "/posteriors", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+    responses=answers(400, 404, 409, 413, 422, 429), tags=["posteriors"],
 )  # fmt: skip
-def start_posterior(wanted: schemas.PosteriorRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_posterior(
+    wanted: schemas.PosteriorRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Sample the posterior of a finished fit. The answer is a job."""
-    row = _with_table(here, wanted.fit)
-    spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
-    return start(here, response, "posterior", str(row.table_id), {"fit": row.id, "spec": spec})
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        row = _with_table(here, wanted.fit)
+        spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
+        return str(row.table_id), {"fit": row.id, "spec": spec}
+
+    return await started(here, response, prefer, "posterior", prepare)
 
 
 @router.post(
     "/calibrations", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+    responses=answers(400, 404, 409, 413, 422, 429), tags=["posteriors"],
 )  # fmt: skip
-def start_calibration(wanted: schemas.CalibrationRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_calibration(
+    wanted: schemas.CalibrationRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Judge posteriors of a finished fit's model by simulations on its table's directions. The answer is a
     job; a simulation takes about a second."""
-    spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
-    row = _with_table(here, wanted.fit)
-    request = {"fit": row.id, "spec": spec.model_dump(mode="json")}
-    return start(here, response, "calibration", str(row.table_id), request)
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
+        row = _with_table(here, wanted.fit)
+        return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
+
+    return await started(here, response, prefer, "calibration", prepare)
 
 
 @router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
-def fits(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def fits(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The finished fits, newest first."""
     rows, total = here.store.page(ModelRow, limit, offset, ModelRow.origin == "fit")
-    return documents.page([documents.fit(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.fit(row) for row in rows], total, limit, offset)
 
 
 @router.get("/fits/{id}", response_model=schemas.FitDocument, responses=problems(404, 422))
@@ -211,6 +203,32 @@ def fit_row(here: Service, id: str) -> ModelRow:
     return row
 
 
+def _fit_request(wanted: schemas.FitRequest) -> dict[str, Any]:
+    """What a job of these fits works from. Raises SpecError."""
+    auto = {"candidates", "folds", "budget_seconds"}
+    if wanted.model == AUTO and wanted.models is None:
+        return {"selection": _selection(wanted)}
+    if misplaced := sorted(auto & wanted.model_fields_set):
+        raise SpecError(
+            f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
+            remedy='give "model": "auto", or leave it out',
+        )  # fmt: skip
+    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"} | auto, exclude_unset=True)
+    chosen = wanted.models if wanted.models is not None else [wanted.model]
+    if (wanted.model is None) == (wanted.models is None):
+        raise SpecError(
+            "exactly one of model and models is needed", code="bad-spec", parameter="model",
+            remedy='give "model": "ward", or "models": ["ward", "lafortune:2"]',
+        )  # fmt: skip
+    specs = [
+        fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
+        for one in chosen if one is not None
+    ]  # fmt: skip
+    if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
+        check(specs[0])
+    return {"specs": [spec.model_dump(mode="json") for spec in specs]}
+
+
 def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
     """The SelectionSpec of a request, JSON-ready. Raises SpecError, also for what has no place in it."""
     for name in ("fixed", "bounds"):
@@ -227,18 +245,6 @@ def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
     for model in spec.candidates or ():
         check(FitSpec(model=model))
     return spec.model_dump(mode="json")
-
-
-def start(
-    here: Service, response: Response, kind: str, table: str, request: dict[str, Any]
-) -> dict[str, Any]:
-    """Queue a job that works on a table; the answer that names it. Raises Problem (404, 429)."""
-    if here.store.get(TableRow, table) is None:
-        raise Problem.not_found("table", table)
-    job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)
-    here.submit(job)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return documents.job(job)
 
 
 def _report(here: Service, id: str, kind: Kind) -> Response:

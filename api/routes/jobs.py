@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal
 
 import anyio
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api import documents, schemas
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import DONE, FAILED, FINAL, JobRow
 from api.service import Here
 
@@ -35,12 +35,13 @@ Job = Annotated[JobRow, Depends(_row)]
 
 @router.get("", response_model=schemas.Page[schemas.JobDocument], responses=problems(422))
 def jobs(
-    here: Here, limit: Limit = 50, offset: Offset = 0, state: Annotated[State | None, Query()] = None
-) -> dict[str, Any]:
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0,
+    state: Annotated[State | None, Query()] = None,
+) -> dict[str, Any]:  # fmt: skip
     """The jobs, newest first."""
     where = () if state is None else (JobRow.state == state,)
     rows, total = here.store.page(JobRow, limit, offset, *where)
-    return documents.page([documents.job(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.job(row) for row in rows], total, limit, offset)
 
 
 @router.get("/{id}", response_model=schemas.JobDocument, responses=problems(404, 422))

@@ -21,7 +21,7 @@ from api.exchange import (
 )
 from api.openapi import array_request, array_response
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
 from api.service import Here, Service
 from api.store import new_id
@@ -36,10 +36,12 @@ SMALLEST_BUCKET = 64
 
 
 @router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
-def models(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def models(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """Fitted and uploaded models, newest first."""
     rows, total = here.store.page(ModelRow, limit, offset)
-    return documents.page([documents.model(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.model(row) for row in rows], total, limit, offset)
 
 
 @router.post(

@@ -19,7 +19,7 @@ from api.exchange import Body, checked_draws, limited, read_pairs, respond, resp
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
 from api.service import Here, Service
@@ -131,10 +131,12 @@ def _columns(text: str | None) -> dict[str, Any] | None:
 
 
 @router.get("", response_model=schemas.Page[schemas.TableDocument], responses=problems(422))
-def tables(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def tables(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The uploaded tables, newest first."""
     rows, total = here.store.page(TableRow, limit, offset)
-    return documents.page([documents.table(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.table(row) for row in rows], total, limit, offset)
 
 
 @router.get("/{id}", response_model=schemas.TableDocument, responses=problems(404, 422))
@@ -208,7 +210,7 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
 
 @router.get("/{id}/info", response_model=schemas.InfoDocument, responses=problems(404, 422))
 def info(id: str, here: Here) -> Response:
-    """What a table's bytes were read as, its noise and its blind spots, as `brdf-fitter info --json` says it."""
+    """What a table's bytes were read as, its noise and its blind spots, as `brdf-fitter info --json`."""
     found = here.tables.open(_row(here, id)).table
     document = {"kind": "brdf-fitter/table", **describe(found), **overview(found)}
     return Response(dumps(document), media_type="application/json")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
-from api.routes.fits import start
+from api.routes import Limit, Offset, page, problems
 from api.rows import TradeoffRow
 from api.service import Here, Service
+from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.fitting import check
 from fitter.spec import FitSpec, tradeoff_spec
@@ -21,25 +21,33 @@ router = APIRouter(prefix="/v1", tags=["tradeoffs"])
 
 @router.post(
     "/tradeoffs", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 413, 422, 429),
+    responses=answers(400, 404, 413, 422, 429),
 )  # fmt: skip
-def start_tradeoff(wanted: schemas.TradeoffRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_tradeoff(
+    wanted: schemas.TradeoffRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Measure error against seconds and memory for models of a table. The answer is a job.
 
     It takes about `time_limit_seconds`, and has the machine to itself only if nothing else runs: the noise of
     the seconds is part of the result.
     """
-    spec = tradeoff_spec(wanted.model_dump(mode="json", exclude={"table"}, exclude_unset=True))
-    for model in spec.models:
-        check(FitSpec(model=model, metric=spec.metric, select=spec.select))
-    return start(here, response, "tradeoff", wanted.table, {"spec": spec.model_dump(mode="json")})
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        spec = tradeoff_spec(wanted.model_dump(mode="json", exclude={"table"}, exclude_unset=True))
+        for model in spec.models:
+            check(FitSpec(model=model, metric=spec.metric, select=spec.select))
+        return wanted.table, {"spec": spec.model_dump(mode="json")}
+
+    return await started(here, response, prefer, "tradeoff", prepare)
 
 
 @router.get("/tradeoffs", response_model=schemas.Page[schemas.TradeoffSummary], responses=problems(422))
-def tradeoffs(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def tradeoffs(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The finished tradeoffs, newest first."""
     rows, total = here.store.page(TradeoffRow, limit, offset)
-    return documents.page([documents.tradeoff(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.tradeoff(row) for row in rows], total, limit, offset)
 
 
 @router.get("/tradeoffs/{id}", response_model=schemas.TradeoffDocument, responses=problems(404, 422))

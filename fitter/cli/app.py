@@ -120,7 +120,7 @@ def _verb_in(words: Sequence[str]) -> str | None:
     """The verb that was asked for: the first word that is neither an option nor one's value."""
     before = ["", *words[:-1]]
     return next(
-        (word for last, word in zip(before, words, strict=True) if word[:1] != "-" and last != "--server"),
+        (word for last, word in zip(before, words, strict=False) if word[:1] != "-" and last != "--server"),
         None,
     )
 

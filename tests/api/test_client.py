@@ -149,7 +149,7 @@ def test_wrong_calls_say_so(
     local = tmp_path / "local.json"
     local.write_text('{"kind": "brdf-fitter/fit", "spec": {"model": {"family": "ward"}}}')
     for words, said in (
-        (("compress", file, "--tolerance", 0.1, "--out", "x"), "a service does not do the work of `compress`"),
+        (("compress", file, "--tolerance", 0.1, "--out", "x"), "does not do the work of `compress`"),
         ((*fit, "--compress", "0.1"), "--compress can't go with --server"),
         (("report", local, "--out", tmp_path), "the service does not know this fit"),
         (("info", tmp_path), "give one file"),
