@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-import threading
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -76,18 +75,13 @@ class Incoming:
 
 
 class Blobs:
-    """A folder of files named by their content.
-
-    ``lock`` guards the step from "no row names this blob" to its deletion: whoever adds a row that
-    names a blob, or drops one, holds it.
-    """
+    """A folder of files named by their content. See :meth:`api.store.Store.guarding` before deleting one."""
 
     def __init__(self, folder: Path) -> None:
         self._kept = folder / "blobs"
         self._aside = folder / "incoming"
         for one in (self._kept, self._aside):
             one.mkdir(parents=True, exist_ok=True)
-        self.lock = threading.Lock()
 
     def clear_incoming(self) -> None:
         """Delete what a dead process left half-written. Only for the folder's one owner, at start."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow, TradeoffRow
+from api.rows import QUEUED, RUNNING, EventRow, JobRow, ModelRow, TableRow, TradeoffRow
 
 
 def when(seconds: float) -> str:
@@ -37,6 +37,14 @@ def job(row: JobRow) -> dict[str, Any]:
         "finished": None if row.finished is None else when(row.finished),
         "results": [_result(one) for one in row.results], "problem": row.problem, "links": links,
     }  # fmt: skip
+
+
+def job_event(row: JobRow, event: EventRow) -> dict[str, Any]:
+    """The job as it was at an event of its log."""
+    then = JobRow(id=row.id, kind=row.kind, table_id=row.table_id, request=row.request, created=row.created)
+    for name, value in event.data.items():
+        setattr(then, name, value)
+    return job(then)
 
 
 def model(row: ModelRow) -> dict[str, Any]:

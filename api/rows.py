@@ -12,10 +12,16 @@ QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed"
 FINAL = (DONE, FAILED, CANCELLED)
 
 
-class Row(DeclarativeBase):
-    """Every row: a random id (32 hexadecimal digits) and when it was made (seconds since 1970, UTC)."""
+class Base(DeclarativeBase):
+    """Everything the database holds. A change here needs a step in ``api/migrations/versions``."""
 
     type_annotation_map = {dict[str, Any]: JSON, list[Any]: JSON}  # noqa: RUF012 (SQLAlchemy's own idiom)
+
+
+class Row(Base):
+    """Most rows: a random id (32 hexadecimal digits) and when it was made (seconds since 1970, UTC)."""
+
+    __abstract__ = True
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     created: Mapped[float] = mapped_column(Float(53), index=True)
@@ -34,10 +40,15 @@ class TableRow(Row):
 
 
 class JobRow(Row):
-    """Work that takes time. The row is the record: what the queue and its clients know is here."""
+    """Work that takes time. The row is the record: what the queue and its clients know is here.
+
+    server : who has claimed the job, until ``lease`` (seconds since 1970 by the database's clock).
+    worker : the process that works on this attempt, None until one does. losses : attempts that ended with
+    the death of who worked on them. events : how many there are in its log.
+    """
 
     __tablename__ = "jobs"
-    __table_args__ = (Index("jobs_by_state", "state", "created"),)
+    __table_args__ = (Index("jobs_by_state", "state", "created"), Index("jobs_by_lease", "state", "lease"))
 
     kind: Mapped[str] = mapped_column(String(16))
     state: Mapped[str] = mapped_column(String(16), default=QUEUED)
@@ -51,6 +62,26 @@ class JobRow(Row):
     finished: Mapped[float | None] = mapped_column(Float(53), default=None)
     results: Mapped[list[Any]] = mapped_column(JSON, default=list)
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    server: Mapped[str | None] = mapped_column(String(64), default=None)
+    worker: Mapped[str | None] = mapped_column(String(255), default=None)
+    lease: Mapped[float | None] = mapped_column(Float(53), default=None)
+    losses: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+    events: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+
+
+class EventRow(Base):
+    """What became of a job, number ``seq`` from 1, without gaps: written with the change that it tells of.
+
+    kind : ``progress``, or the final state. data : what of the job's row changes, as it was then.
+    """
+
+    __tablename__ = "job_events"
+
+    job_id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    seq: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    created: Mapped[float] = mapped_column(Float(53))
+    kind: Mapped[str] = mapped_column(String(16))
+    data: Mapped[dict[str, Any]]
 
 
 class ModelRow(Row):

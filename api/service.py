@@ -10,7 +10,7 @@ from typing import Annotated, BinaryIO
 from fastapi import Depends, Request
 
 from api.blobs import Blobs
-from api.jobs import EXHAUSTED, Runner
+from api.jobs import EXHAUSTED, InProcess, Runner
 from api.metrics import Metrics
 from api.problems import Problem
 from api.results import Results
@@ -41,12 +41,15 @@ class Service:
         #: One report at a time: drawing figures takes memory and every core there is.
         self.report_lock = threading.Lock()
         worker = Worker(self.store, self.results, self.tables)
-        self._runner = Runner(self.store, worker, self.metrics, settings.workers)
+        self._runner = Runner(
+            self.store, InProcess(self.store, worker), self.metrics, settings.workers,
+            lease_seconds=settings.lease_seconds, max_attempts=settings.max_attempts,
+        )  # fmt: skip
 
     def start(self) -> None:
         """Clear up after a process that died, then work."""
         self.blobs.clear_incoming()
-        again = self.store.recover(self.settings.max_attempts, EXHAUSTED)
+        again = self.store.recover(self.settings.max_attempts, EXHAUSTED, everything=not self.store.shared)
         if again:
             _log.warning("%d job(s) of a server that died wait again", again)
         for id in self.results.checkpoints():

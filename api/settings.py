@@ -18,7 +18,8 @@ class Settings:
     max_albedo_directions : directions in one albedo request (each is a quadrature of its own).
     max_draws : draws in one request for samples.
     max_queue : jobs that may wait; more are refused with 429.
-    max_attempts : times a job is started before it is given up, when the server dies under it.
+    max_attempts : times a job is started before it is given up, when who works on it dies.
+    lease_seconds : how long a claim holds without being renewed; a job of a dead server waits this long.
     cached_tables : parsed tables kept in memory.
     grace_seconds : how long a stopping server waits for its jobs to reach a safe point.
     """
@@ -33,6 +34,7 @@ class Settings:
     max_draws: int = 1_000_000
     max_queue: int = 1000
     max_attempts: int = 3
+    lease_seconds: float = 30.0
     cached_tables: int = 4
     grace_seconds: float = 10.0
 

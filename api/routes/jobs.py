@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import anyio
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api import documents, schemas
@@ -51,23 +51,32 @@ def job(row: Job) -> dict[str, Any]:
 
 
 @router.get("/{id}/events", response_class=EventSourceResponse, responses=problems(404, 422))
-async def events(row: Job, here: Here) -> AsyncIterable[ServerSentEvent]:
+async def events(
+    row: Job,
+    here: Here,
+    last_event_id: Annotated[
+        int, Header(ge=0, le=2**31 - 1, description="the last event received: go on after it")
+    ] = 0,
+) -> AsyncIterable[ServerSentEvent]:
     """Follow a job: a `progress` event at each change, then one named for the final state; both hold the job.
 
-    The stream also ends when the server stops; a client that connects again goes on where the job is.
+    Events are numbered from 1 and kept: a client that connects again with `Last-Event-ID` misses none and
+    gets none twice. The stream ends with the final event, or when the server stops.
     """
-    shown = None
-    current: JobRow | None = row
-    while current is not None and not here.stopping.is_set():
-        document = documents.job(current)
-        final = current.state in FINAL
-        if document != shown:
-            yield ServerSentEvent(data=document, event=current.state if final else "progress")
-            shown = document
-        if final:
+    seen = last_event_id
+    while not here.stopping.is_set():
+        found = await to_thread.run_sync(here.store.events, row.id, seen)
+        for event in found:
+            yield ServerSentEvent(data=documents.job_event(row, event), event=event.kind, id=str(event.seq))
+            seen = event.seq
+            if event.kind in FINAL:
+                return
+        if found:
+            continue
+        current = await to_thread.run_sync(here.store.get, JobRow, row.id)
+        if current is None or (current.state in FINAL and seen >= current.events):
             return
         await anyio.sleep(LOOK_EVERY)
-        current = await to_thread.run_sync(here.store.get, JobRow, row.id)
 
 
 @router.post(

@@ -111,7 +111,7 @@ def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
         id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
         sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
     )  # fmt: skip
-    with here.blobs.lock:
+    with here.store.guarding():
         here.blobs.keep(incoming, sha256)
         here.store.add(row)
     return row
@@ -152,7 +152,7 @@ def delete(id: str, here: Here) -> Response:
     Finished fits and posteriors stay, with what they say of the table. 409 while a job needs it.
     """
     try:
-        with here.blobs.lock:
+        with here.store.guarding():
             unused = here.store.delete_table(id)
             if unused is not None:
                 here.blobs.drop(unused)
