@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import time
+import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +39,10 @@ RETRY_AFTER = (0.2, 1.0, 3.0)
 SILENCE = 45.0
 
 
+#: What another attempt does not mend: a URL that is none, and a server too slow for the caller.
+_FINAL = (httpx.UnsupportedProtocol, httpx.TimeoutException)
+
+
 class Refused(FitterError):
     """The service refused a request (4xx): ``status``, and the whole problem ``document``."""
 
@@ -61,7 +66,8 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that did not reach the server are sent again a few times.
+    Raises Refused and ServiceFailed. Requests that are cut off are sent again a few times: what a POST makes
+    is made once all the same (``Idempotency-Key``).
     """
 
     def __init__(
@@ -251,6 +257,8 @@ class Client:
     ) -> httpx.Response:
         """One request, sent again while the server does not answer. Raises Refused or ServiceFailed."""
         sent = {**self._headers, **(headers or {})}
+        if method == "POST":
+            sent["Idempotency-Key"] = uuid.uuid4().hex
         answer = self._answer(method, path, sent, more)
         if answer.status_code >= 400:
             raise _error(answer)
@@ -260,16 +268,17 @@ class Client:
         self, method: str, path: str, headers: Mapping[str, str], more: Mapping[str, Any]
     ) -> httpx.Response:
         body = more.get("content")
+        start = 0 if body is None or isinstance(body, bytes) else body.tell()
         waits = list(RETRY_AFTER)
         while True:
             try:
                 return self._http.request(method, path, headers=headers, **more)
             except httpx.TransportError as error:
-                if not waits or not isinstance(error, httpx.ConnectError):
+                if not waits or isinstance(error, _FINAL):
                     raise _unreachable(error) from error
             time.sleep(waits.pop(0))
             if body is not None and not isinstance(body, bytes):
-                body.seek(0)
+                body.seek(start)
 
     def _get(self, path: str, kind: type[_D]) -> _D:
         return kind.model_validate_json(self.request("GET", path).content)

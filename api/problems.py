@@ -149,8 +149,18 @@ def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
     )  # fmt: skip
 
 
+def answer(problem: Problem, path: str) -> Response:
+    """The answer that a problem is, for middleware: the framework knows nothing of it there."""
+    found = document(problem.status_code, problem.code, problem.detail, **problem.more)
+    return _encoded(path, found, problem.headers)
+
+
 def _response(request: Request, found: dict[str, Any], headers: Mapping[str, str] | None = None) -> Response:
-    content = encoded({**found, "instance": request.url.path})
+    return _encoded(request.url.path, found, headers)
+
+
+def _encoded(path: str, found: dict[str, Any], headers: Mapping[str, str] | None) -> Response:
+    content = encoded({**found, "instance": path})
     return Response(content, found["status"], headers=headers, media_type=MEDIA_TYPE)
 
 

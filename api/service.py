@@ -5,10 +5,9 @@ from __future__ import annotations
 import fcntl
 import logging
 import threading
-from typing import Annotated, BinaryIO
+from typing import BinaryIO
 
-from fastapi import Depends, Request
-
+from api import idempotency
 from api.blobs import Blobs
 from api.jobs import EXHAUSTED, InProcess, Runner
 from api.metrics import Metrics
@@ -52,6 +51,8 @@ class Service:
         again = self.store.recover(self.settings.max_attempts, EXHAUSTED, everything=not self.store.shared)
         if again:
             _log.warning("%d job(s) of a server that died wait again", again)
+        if not self.store.shared:
+            idempotency.reset(self.store)
         for id in self.results.checkpoints():
             job = self.store.get(JobRow, id)
             if job is None or job.state != QUEUED:
@@ -96,12 +97,3 @@ def _lock(settings: Settings) -> BinaryIO:
             remedy="stop it, or give this one a folder of its own",
         ) from error  # fmt: skip
     return file
-
-
-def of_request(request: Request) -> Service:
-    """The service behind a request: what routes depend on."""
-    service: Service = request.app.state.service
-    return service
-
-
-Here = Annotated[Service, Depends(of_request)]

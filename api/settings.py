@@ -20,6 +20,8 @@ class Settings:
     max_queue : jobs that may wait; more are refused with 429.
     max_attempts : times a job is started before it is given up, when who works on it dies.
     lease_seconds : how long a claim holds without being renewed; a job of a dead server waits this long.
+    keys : whether requests need an API key.
+    requests_per_second, burst : of one key, or address where no keys are needed; 0 is no limit.
     cached_tables : parsed tables kept in memory.
     grace_seconds : how long a stopping server waits for its jobs to reach a safe point.
     """
@@ -35,6 +37,9 @@ class Settings:
     max_queue: int = 1000
     max_attempts: int = 3
     lease_seconds: float = 30.0
+    keys: bool = False
+    requests_per_second: float = 0.0
+    burst: int = 200
     cached_tables: int = 4
     grace_seconds: float = 10.0
 

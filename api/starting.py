@@ -12,11 +12,9 @@ from anyio import to_thread
 from fastapi import Header, Response
 
 from api import documents, schemas
-from api.problems import Problem
+from api.access import Mine
 from api.routes import problems
 from api.rows import FINAL, JobRow, TableRow
-from api.service import Service
-from api.store import new_id
 
 #: Seconds that a request waits at most, whatever it prefers: proxies give up after a minute.
 LONGEST_WAIT = 60
@@ -38,7 +36,7 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 async def started(
-    here: Service, response: Response, prefer: str | None, kind: str,
+    here: Mine, response: Response, prefer: str | None, kind: str,
     prepare: Callable[[], tuple[str, dict[str, Any]]],
 ) -> dict[str, Any]:  # fmt: skip
     """Queue a job; the answer that shows it.
@@ -59,20 +57,25 @@ async def started(
     return documents.job(job)
 
 
-def _queue(here: Service, kind: str, prepare: Callable[[], tuple[str, dict[str, Any]]]) -> JobRow:
+def _queue(here: Mine, kind: str, prepare: Callable[[], tuple[str, dict[str, Any]]]) -> JobRow:
+    before = here.made_before(JobRow)
+    if before is not None:
+        return before
     table, request = prepare()
-    if here.store.get(TableRow, table) is None:
-        raise Problem.not_found("table", table)
-    job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)
-    here.submit(job)
+    here.get(TableRow, table)
+    job = JobRow(
+        id=here.new_id(), created=time.time(), owner=here.caller.owner, kind=kind, table_id=table,
+        request=request,
+    )  # fmt: skip
+    here.service.submit(job)
     return job
 
 
-async def _ended(here: Service, job: JobRow, seconds: float) -> JobRow:
+async def _ended(here: Mine, job: JobRow, seconds: float) -> JobRow:
     """The job as it is once it has ended, the time is over or the server stops."""
     end, pause = anyio.current_time() + seconds, LOOK_EVERY[0]
-    while job.state not in FINAL and anyio.current_time() < end and not here.stopping.is_set():
+    while job.state not in FINAL and anyio.current_time() < end and not here.service.stopping.is_set():
         await anyio.sleep(pause)
         pause = min(2 * pause, LOOK_EVERY[1])
-        job = await to_thread.run_sync(here.store.get, JobRow, job.id) or job
+        job = await to_thread.run_sync(here.service.store.get, JobRow, job.id) or job
     return job

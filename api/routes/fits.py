@@ -7,11 +7,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response
 
 from api import documents, exchange, schemas
+from api.access import Here, Mine
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, page, problems
 from api.rows import CalibrationRow, ModelRow, PosteriorRow, TableRow
-from api.service import Here, Service
 from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.errors import SpecError
@@ -75,7 +75,7 @@ def fits(
     request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
 ) -> dict[str, Any]:
     """The finished fits, newest first."""
-    rows, total = here.store.page(ModelRow, limit, offset, ModelRow.origin == "fit")
+    rows, total = here.page(ModelRow, limit, offset, ModelRow.origin == "fit")
     return page(request, response, [documents.fit(row) for row in rows], total, limit, offset)
 
 
@@ -83,8 +83,8 @@ def fits(
 def fit(id: str, here: Here) -> Response:
     """The whole result: a file of it is what `brdf-fitter posterior`, `report` and `sample` take."""
     row = fit_row(here, id)
-    made, _ = here.store.page(PosteriorRow, 100, 0, PosteriorRow.fit_id == id)
-    document = here.results.read(id)
+    made, _ = here.page(PosteriorRow, 100, 0, PosteriorRow.fit_id == id)
+    document = here.service.results.read(id)
     added = {"id": id, "posteriors": [one.id for one in made], "links": documents.fit_links(row)}
     return Response(dumps({**document, **added}), media_type="application/json")
 
@@ -141,11 +141,10 @@ def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header
 )  # fmt: skip
 def posterior(id: str, here: Here) -> Response:
     """The whole posterior: draws, credible intervals, diagnostics."""
-    row = here.store.get(PosteriorRow, id)
-    if row is None:
-        raise Problem.not_found("posterior", id)
+    row = here.get(PosteriorRow, id)
     links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
-    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+    document = {**here.service.results.read(id), "id": id, "links": links}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get(
@@ -154,13 +153,14 @@ def posterior(id: str, here: Here) -> Response:
 )  # fmt: skip
 def calibration(id: str, here: Here) -> Response:
     """The whole calibration: every rank, the tests, the verdict."""
-    row = _calibration_row(here, id)
+    row = here.get(CalibrationRow, id)
     self = f"/v1/calibrations/{id}"
     links = {
         "self": self, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}",
         "picture": f"{self}/picture.png",
     }  # fmt: skip
-    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+    document = {**here.service.results.read(id), "id": id, "links": links}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get(
@@ -173,32 +173,25 @@ def calibration(id: str, here: Here) -> Response:
 )  # fmt: skip
 def calibration_picture(id: str, here: Here) -> Response:
     """How far the ranks' distribution functions stray from uniform, with their simultaneous bands."""
-    content = here.results.report(_calibration_row(here, id).id, "png")
+    content = here.service.results.report(here.get(CalibrationRow, id).id, "png")
     assert content is not None  # written before the row was published
     return Response(content, media_type="image/png")
 
 
-def _calibration_row(here: Service, id: str) -> CalibrationRow:
-    row = here.store.get(CalibrationRow, id)
-    if row is None:
-        raise Problem.not_found("calibration", id)
-    return row
-
-
-def _with_table(here: Service, id: str) -> ModelRow:
+def _with_table(here: Mine, id: str) -> ModelRow:
     """The row of a fit whose table is still there. Raises Problem (404, 409)."""
     row = fit_row(here, id)
-    if here.store.get(TableRow, row.table_id or "") is None:
+    if here.find(TableRow, row.table_id or "") is None:
         raise Problem(
             409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
         )
     return row
 
 
-def fit_row(here: Service, id: str) -> ModelRow:
+def fit_row(here: Mine, id: str) -> ModelRow:
     """The row of a fit. Raises Problem (404)."""
-    row = here.store.get(ModelRow, id)
-    if row is None or row.origin != "fit":
+    row = here.get(ModelRow, id, "fit")
+    if row.origin != "fit":
         raise Problem.not_found("fit", id)
     return row
 
@@ -247,6 +240,6 @@ def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
     return spec.model_dump(mode="json")
 
 
-def _report(here: Service, id: str, kind: Kind) -> Response:
+def _report(here: Mine, id: str, kind: Kind) -> Response:
     content = report(here, fit_row(here, id), kind)
     return Response(content, media_type=MEDIA[kind], headers={"Vary": "Accept"})

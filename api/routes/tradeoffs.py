@@ -7,10 +7,9 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
-from api.problems import Problem
+from api.access import Here, Mine
 from api.routes import Limit, Offset, page, problems
 from api.rows import TradeoffRow
-from api.service import Here, Service
 from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.fitting import check
@@ -46,16 +45,16 @@ def tradeoffs(
     request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
 ) -> dict[str, Any]:
     """The finished tradeoffs, newest first."""
-    rows, total = here.store.page(TradeoffRow, limit, offset)
+    rows, total = here.page(TradeoffRow, limit, offset)
     return page(request, response, [documents.tradeoff(row) for row in rows], total, limit, offset)
 
 
 @router.get("/tradeoffs/{id}", response_model=schemas.TradeoffDocument, responses=problems(404, 422))
 def tradeoff(id: str, here: Here) -> Response:
     """Every point, with its seconds, memory and errors."""
-    shown = documents.tradeoff(_row(here, id))
+    shown = documents.tradeoff(here.get(TradeoffRow, id))
     added = {"id": id, "links": shown["links"]}
-    return Response(dumps({**here.results.read(id), **added}), media_type="application/json")
+    return Response(dumps({**here.service.results.read(id), **added}), media_type="application/json")
 
 
 @router.get(
@@ -79,14 +78,7 @@ def picture(id: str, here: Here) -> Response:
     return Response(_drawn(here, id, "png"), media_type="image/png")
 
 
-def _row(here: Service, id: str) -> TradeoffRow:
-    row = here.store.get(TradeoffRow, id)
-    if row is None:
-        raise Problem.not_found("tradeoff", id)
-    return row
-
-
-def _drawn(here: Service, id: str, kind: str) -> bytes:
-    content = here.results.report(_row(here, id).id, kind)
+def _drawn(here: Mine, id: str, kind: str) -> bytes:
+    content = here.service.results.report(here.get(TradeoffRow, id).id, kind)
     assert content is not None  # written before the row was published
     return content

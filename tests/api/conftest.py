@@ -59,13 +59,12 @@ def table_bytes() -> bytes:
     return small_table()
 
 
-@pytest.fixture
-def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
-    """Start a service with settings of one's own: ``serving(max_queue=1)``."""
+@contextlib.contextmanager
+def _services(folder: Path) -> Iterator[Callable[..., TestClient]]:
     opened: list[TestClient] = []
 
     def start(**settings: Any) -> TestClient:
-        client = TestClient(create_app(Settings(**{"folder": tmp_path / "data", **settings})))
+        client = TestClient(create_app(Settings(**{"folder": folder / "data", **settings})))
         client.__enter__()
         opened.append(client)
         return client
@@ -73,6 +72,20 @@ def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
     yield start
     for client in opened:
         client.__exit__(None, None, None)
+
+
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
+    """Start a service with settings of one's own: ``serving(max_queue=1)``."""
+    with _services(tmp_path) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def serving_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., TestClient]]:
+    """The same, for a service that a module's tests share."""
+    with _services(tmp_path_factory.mktemp("guarded")) as start:
+        yield start
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,8 @@ from api.conditional import matches
 
 
 def test_what_is_there_already_is_not_sent_again(client: Any, table: str, fit: str) -> None:
-    report = f"/v1/fits/{fit}/report.json"
-    for path in (f"/v1/tables/{table}", f"/v1/fits/{fit}", report, f"/v1/models/{fit}", "/v1/model-families"):
+    check = f"/v1/tables/{table}/check"
+    for path in (f"/v1/tables/{table}", check, f"/v1/fits/{fit}", f"/v1/models/{fit}", "/v1/model-families"):
         first = client.get(path)
         tag = first.headers["etag"]
         again = client.get(path, headers={"if-none-match": f'"other", W/{tag}'})
