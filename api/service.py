@@ -11,6 +11,7 @@ from api import idempotency
 from api.blobs import Blobs
 from api.jobs import EXHAUSTED, InProcess, Runner
 from api.metrics import Metrics
+from api.parsing import Limits, Parsers
 from api.problems import Problem
 from api.results import Results
 from api.rows import QUEUED, JobRow
@@ -34,6 +35,10 @@ class Service:
         self.store = Store(settings.url)
         self.blobs = Blobs(settings.folder)
         self.results = Results(settings.folder)
+        limits = Limits(
+            settings.max_parse_bytes, settings.max_parse_seconds, settings.max_samples, settings.max_channels
+        )
+        self.parsers = Parsers(settings.parsers, limits)
         self.tables = OpenTables(self.blobs, settings.cached_tables)
         #: Set when the server is asked to stop: event streams end, so that nothing holds it up.
         self.stopping = threading.Event()

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 
 from api import documents, exchange, schemas
 from api.access import Here, Mine
+from api.limits import check_posterior
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, page, problems
@@ -45,6 +46,7 @@ async def start_posterior(
     """Sample the posterior of a finished fit. The answer is a job."""
 
     def prepare() -> tuple[str, dict[str, Any]]:
+        check_posterior(wanted, here.service.settings)
         row = _with_table(here, wanted.fit)
         spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
         return str(row.table_id), {"fit": row.id, "spec": spec}
@@ -64,6 +66,7 @@ async def start_calibration(
 
     def prepare() -> tuple[str, dict[str, Any]]:
         spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
+        check_posterior(spec.posterior, here.service.settings)
         row = _with_table(here, wanted.fit)
         return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
 

@@ -24,7 +24,6 @@ from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
 from api.store import InUse, Missing
-from api.tables import parse
 from fitter import directions
 from fitter.documents import dumps
 from fitter.formats.describe import describe
@@ -84,7 +83,9 @@ async def upload(
                 options = read_options({**given, "name": form.filename})
         else:
             await _receive(request, incoming.write)
-        row = await to_thread.run_sync(_keep, here, incoming, options)
+        # Who waits for a reader waits here and not in a thread: threads are for those who are at work.
+        parsers = here.service.parsers
+        row = await to_thread.run_sync(_keep, here, incoming, options, limiter=parsers.limiter)
     here.service.metrics.upload(row.size)
     response.headers["Location"] = f"/v1/tables/{row.id}"
     return documents.table(row)
@@ -108,12 +109,12 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     if before is not None:
         return before
     sha256 = incoming.finish()
-    table = parse(incoming.path.read_bytes(), options.to_dict())
+    found = here.service.parsers.parse(incoming.path, options.to_dict())
     incoming.pack()
     row = TableRow(
         id=here.new_id(), created=time.time(), owner=here.caller.owner,
-        name=(table.metadata.name or options.name or sha256[:12])[:255],
-        sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
+        name=(found.name or options.name or sha256[:12])[:255],
+        sha256=sha256, size=incoming.size, options=options.to_dict(), description=found.description,
     )  # fmt: skip
     with here.service.store.guarding():
         here.service.blobs.keep(incoming, sha256)
