@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,14 +13,10 @@ def when(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def page(items: Sequence[dict[str, Any]], total: int, limit: int, offset: int) -> dict[str, Any]:
-    """Part of a list."""
-    return {"items": list(items), "total": total, "limit": limit, "offset": offset}
-
-
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("check", "evaluate", "samples", "slices")}}
+    verbs = ("info", "check", "evaluate", "samples", "slices")
+    links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     return {
         "id": row.id, "name": row.name, "created": when(row.created), "sha256": row.sha256, "bytes": row.size,

@@ -53,6 +53,19 @@ def upload_request() -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
+def _conditional(operation: dict[str, Any]) -> None:
+    """Add what api.conditional does to an operation: the tag, and the answer to who has it."""
+    answer = operation["responses"]["200"]
+    if "text/event-stream" in answer.get("content", {}):
+        return
+    tag = {"description": "hash of the content", "schema": {"type": "string"}}
+    answer.setdefault("headers", {})["ETag"] = tag
+    operation["responses"]["304"] = {"description": "The content is what If-None-Match names"}
+    operation.setdefault("parameters", []).append(
+        {"name": "If-None-Match", "in": "header", "required": False, "schema": {"type": "string"}}
+    )
+
+
 def install(app: FastAPI) -> None:
     """Make the application's schema say that every error is a problem document."""
 
@@ -62,8 +75,10 @@ def install(app: FastAPI) -> None:
                 title=app.title, version=app.version, summary=app.summary, description=app.description,
                 routes=app.routes,
             )  # fmt: skip
-            for path in made["paths"].values():
-                for operation in path.values():
+            for name, path in made["paths"].items():
+                for method, operation in path.items():
+                    if method == "get" and name.startswith("/v1/") and "200" in operation["responses"]:
+                        _conditional(operation)
                     for status, answer in operation["responses"].items():
                         if int(status) >= 400:
                             answer["content"] = {MEDIA_TYPE: {"schema": _PROBLEM}}

@@ -19,6 +19,7 @@ from fitter.errors import FitterError
 _log = logging.getLogger("brdf_fitter.api")
 
 MEDIA_TYPE = "application/problem+json"
+_OWN = ("status", "code", "detail")
 
 
 class ProblemDocument(BaseModel):
@@ -65,6 +66,13 @@ class Problem(HTTPException):
     @classmethod
     def not_found(cls, noun: str, id: str) -> Problem:
         return cls(404, "not-found", f"there is no {noun} {id[:64]}")
+
+    @classmethod
+    def of_document(cls, found: Mapping[str, Any]) -> Problem:
+        """The problem that a document tells of."""
+        more = {key: item for key, item in found.items() if key not in ("type", "title", *_OWN)}
+        status, code, detail = (found[key] for key in _OWN)
+        return cls(status, code, detail, **more)
 
     @classmethod
     def too_large(cls, limit: int) -> Problem:
@@ -149,8 +157,18 @@ def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
     )  # fmt: skip
 
 
+def answer(problem: Problem, path: str) -> Response:
+    """The answer that a problem is, for middleware: the framework knows nothing of it there."""
+    found = document(problem.status_code, problem.code, problem.detail, **problem.more)
+    return _encoded(path, found, problem.headers)
+
+
 def _response(request: Request, found: dict[str, Any], headers: Mapping[str, str] | None = None) -> Response:
-    content = encoded({**found, "instance": request.url.path})
+    return _encoded(request.url.path, found, headers)
+
+
+def _encoded(path: str, found: dict[str, Any], headers: Mapping[str, str] | None) -> Response:
+    content = encoded({**found, "instance": path})
     return Response(content, found["status"], headers=headers, media_type=MEDIA_TYPE)
 
 

@@ -114,6 +114,8 @@ class Queue(Sessions):
                 return there is not None and (there.state, there.attempt, there.results) == (
                     DONE, job.attempt, results,
                 )  # fmt: skip
+            for made in rows:
+                made.owner = row.owner
             session.add_all(rows)
             _end(session, row, DONE, share=1.0, what="done", results=results)
             return True

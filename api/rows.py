@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Boolean, Float, Index, Integer, String
+from sqlalchemy import JSON, BigInteger, Boolean, Float, Index, Integer, LargeBinary, String
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 #: States a job may be in; the last three are final.
@@ -19,12 +19,16 @@ class Base(DeclarativeBase):
 
 
 class Row(Base):
-    """Most rows: a random id (32 hexadecimal digits) and when it was made (seconds since 1970, UTC)."""
+    """Most rows: a random id (32 hexadecimal digits), when it was made (seconds since 1970, UTC), and whose.
+
+    owner : of the API key that asked for it, "" where none was needed.
+    """
 
     __abstract__ = True
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     created: Mapped[float] = mapped_column(Float(53), index=True)
+    owner: Mapped[str] = mapped_column(String(64), default="", server_default="", index=True)
 
 
 class TableRow(Row):
@@ -125,3 +129,34 @@ class PosteriorRow(Row):
     fit_id: Mapped[str] = mapped_column(String(32), index=True)
     job_id: Mapped[str] = mapped_column(String(32))
     summary: Mapped[dict[str, Any]]
+
+
+class KeyRow(Row):
+    """An API key. Only the hash of its secret is kept. revoked : when it was, None while it is good."""
+
+    __tablename__ = "api_keys"
+
+    name: Mapped[str] = mapped_column(String(255))
+    scope: Mapped[str] = mapped_column(String(16))
+    hash: Mapped[str] = mapped_column(String(64), unique=True)
+    revoked: Mapped[float | None] = mapped_column(Float(53), default=None)
+
+
+class IdempotencyRow(Base):
+    """A POST that named itself, and its answer (``status`` None while it is being made).
+
+    made : the id of what it makes, the same at every attempt. lease : until when (seconds since 1970 by the
+    database's clock) whoever works on it has it for itself. fingerprint : of the whole request.
+    """
+
+    __tablename__ = "idempotency"
+
+    owner: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    created: Mapped[float] = mapped_column(Float(53), index=True)
+    made: Mapped[str] = mapped_column(String(32))
+    lease: Mapped[float] = mapped_column(Float(53))
+    fingerprint: Mapped[str | None] = mapped_column(String(64), default=None)
+    status: Mapped[int | None] = mapped_column(Integer, default=None)
+    headers: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    body: Mapped[bytes | None] = mapped_column(LargeBinary, default=None)

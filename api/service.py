@@ -6,15 +6,15 @@ import fcntl
 import importlib.util
 import logging
 import threading
-from typing import Annotated, BinaryIO
+from typing import BinaryIO
 
-from fastapi import Depends, Request
-
+from api import idempotency
 from api.blobs import Blobs
 from api.database import parsed
 from api.engine import Engine, InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
+from api.parsing import Limits, Parsers
 from api.problems import Problem
 from api.results import Results
 from api.rows import FINAL, JobRow
@@ -47,6 +47,10 @@ class Service:
         storage = open_storage(place.storage)
         self.blobs = Blobs(storage, place.folder)
         self.results = Results(storage, place.folder)
+        limits = Limits(
+            settings.max_parse_bytes, settings.max_parse_seconds, settings.max_samples, settings.max_channels
+        )
+        self.parsers = Parsers(settings.parsers, limits)
         self.tables = OpenTables(self.blobs, settings.cached_tables)
         #: Set when the server is asked to stop: event streams end, so that nothing holds it up.
         self.stopping = threading.Event()
@@ -77,6 +81,8 @@ class Service:
         again = self.store.recover(self.settings.max_attempts, EXHAUSTED, everything=not self.store.shared)
         if again:
             _log.warning("%d job(s) of a server that died wait again", again)
+        if not self.store.shared:
+            idempotency.reset(self.store)
         for id in self.results.checkpoints():
             job = self.store.get(JobRow, id)
             if job is None or job.state in FINAL:
@@ -138,12 +144,3 @@ def _lock(settings: Settings) -> BinaryIO | None:
             remedy="stop it, or give this one a folder of its own",
         ) from error  # fmt: skip
     return file
-
-
-def of_request(request: Request) -> Service:
-    """The service behind a request: what routes depend on."""
-    service: Service = request.app.state.service
-    return service
-
-
-Here = Annotated[Service, Depends(of_request)]

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Request, Response
 
 import fitter
 from api import documents, schemas
+from api.access import Here, Mine
 from api.exchange import (
     Body,
     FloatArray,
@@ -20,11 +21,8 @@ from api.exchange import (
     respond_samples,
 )
 from api.openapi import array_request, array_response
-from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
-from api.service import Here, Service
-from api.store import new_id
 from fitter.errors import SpecError
 from fitter.models.describe import default, describe
 from fitter.spec import OPTIONS, ModelSpec, model_spec
@@ -36,10 +34,12 @@ SMALLEST_BUCKET = 64
 
 
 @router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
-def models(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def models(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """Fitted and uploaded models, newest first."""
-    rows, total = here.store.page(ModelRow, limit, offset)
-    return documents.page([documents.model(row) for row in rows], total, limit, offset)
+    rows, total = here.page(ModelRow, limit, offset)
+    return page(request, response, [documents.model(row) for row in rows], total, limit, offset)
 
 
 @router.post(
@@ -62,10 +62,13 @@ def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict
         )  # fmt: skip
     values = {name: np.asarray(value) for name, value in wanted.values.items()}
     model = fitter.models.create(spec, channels=wanted.channels, **values)
-    row = ModelRow(
-        id=new_id(), created=time.time(), origin="upload", name=spec.name, document=model.to_dict()
-    )
-    here.store.add(row)
+    row = here.made_before(ModelRow)
+    if row is None:
+        row = ModelRow(
+            id=here.new_id(), created=time.time(), owner=here.caller.owner, origin="upload", name=spec.name,
+            document=model.to_dict(),
+        )  # fmt: skip
+        here.service.store.add(row)
     response.headers["Location"] = f"/v1/models/{row.id}"
     return documents.model(row)
 
@@ -73,7 +76,7 @@ def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict
 @router.get("/v1/models/{id}", response_model=schemas.ModelDocument, responses=problems(404, 422))
 def model(id: str, here: Here) -> dict[str, Any]:
     """A model. The id of a fit names the model it found."""
-    return documents.model(_row(here, id))
+    return documents.model(here.get(ModelRow, id))
 
 
 @router.post(
@@ -85,7 +88,7 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
     """f without the cosine, 1/sr, at direction pairs; 0 where wo is below the horizon, unless the model
     transmits. Ideal (delta) components are not part of it."""
     found = _model(here, id)
-    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    wi, wo = read_pairs(request, body, here.service.settings.max_pairs)
     values = np.asarray(found.evaluate(*_padded(wi, wo)))[: len(wi)]
     document = {"channels": list(found.channels), "unit": "1/sr", "values": values}
     return respond(request, document, values)
@@ -99,7 +102,7 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
     """Density of `sample` drawing wo given wi, per unit solid angle."""
     found = _model(here, id)
-    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    wi, wo = read_pairs(request, body, here.service.settings.max_pairs)
     values = np.asarray(found.pdf(*_padded(wi, wo)))[: len(wi)]
     return respond(request, {"unit": "1/sr", "values": values}, values)
 
@@ -112,7 +115,7 @@ def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
 def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
     """Directional-hemispherical reflectance, and transmittance where the model has one."""
     found = _model(here, id)
-    wi = read_incidences(request, body, here.settings.max_albedo_directions)
+    wi = read_incidences(request, body, here.service.settings.max_albedo_directions)
     values = np.asarray(found.albedo(wi))
     through = np.asarray(found.transmittance(wi)) if found.transmits(found.spec) else None
     document = {"channels": list(found.channels), "values": values, "transmittance": through}
@@ -126,7 +129,7 @@ def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
 def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here) -> Response:
     """Directions drawn for one incidence, with their densities and weights."""
     found = _model(here, id)
-    wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
+    wi = checked_draws(wanted.wi, wanted.n, here.service.settings.max_draws)
     return respond_samples(request, found.sample(wi, wanted.n, seed=wanted.seed), found.channels)
 
 
@@ -158,15 +161,8 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
     return {**described, "values_schema": schema}
 
 
-def _row(here: Service, id: str) -> ModelRow:
-    row = here.store.get(ModelRow, id)
-    if row is None:
-        raise Problem.not_found("model", id)
-    return row
-
-
-def _model(here: Service, id: str) -> Any:
-    return fitter.models.from_dict(_row(here, id).document)
+def _model(here: Mine, id: str) -> Any:
+    return fitter.models.from_dict(here.get(ModelRow, id).document)
 
 
 def _padded(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
