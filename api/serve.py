@@ -7,6 +7,7 @@ from types import FrameType
 
 import uvicorn
 
+from api import logs
 from api.app import create_app
 from api.service import Service, check_folder
 from api.settings import Settings
@@ -35,10 +36,11 @@ def serve(
     """
     settings = Settings(folder=folder, workers=workers)
     check_folder(settings)
+    logs.configure(log_level)
     _jax.compile_sooner()
     _jax.use_compilation_cache(folder / "xla")
     config = uvicorn.Config(
-        create_app(settings), host=host, port=port, log_level=log_level, server_header=False,
+        create_app(settings), host=host, port=port, log_config=None, access_log=False, server_header=False,
         timeout_graceful_shutdown=CONNECTION_GRACE,
     )  # fmt: skip
     _Server(config).run()
