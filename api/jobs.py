@@ -5,56 +5,26 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Protocol
 
-from api.attempt import Attempt, Ended
+from api.engine import Engine, Lost
 from api.metrics import Metrics
 from api.problems import document
+from api.programs import forget_when_many
 from api.rows import JobRow
 from api.store import Store, new_id
-from api.work import Worker
 
 _log = logging.getLogger("brdf_fitter.api")
 
 #: Seconds after which an idle thread looks at the queue without having been told to.
 IDLE_LOOK = 5.0
+#: Seconds between two looks whether an engine that is not ready has become so.
+ENGINE_LOOK = 0.1
 
 EXHAUSTED = document(
     500, "job-attempts-exhausted", "the process that worked on this job died each time",
     cause="the job needs more memory than the machine has, or it meets a fault of a library",
     remedy="try a smaller table or another model, and report it",
 )  # fmt: skip
-
-
-class Lost(Exception):
-    """Who worked on the attempt is gone."""
-
-
-class Engine(Protocol):
-    """What does the work of a leased job."""
-
-    def start(self) -> None: ...
-
-    def run(self, job: JobRow, stopping: threading.Event) -> Ended:
-        """Work on the attempt until it has ended. Raises Lost where whoever did is gone."""
-        ...
-
-    def stop(self) -> None: ...
-
-
-class InProcess:
-    """The engine that is nothing but the thread that asks: the numerics release the interpreter's lock."""
-
-    def __init__(self, store: Store, worker: Worker) -> None:
-        self._store = store
-        self._worker = worker
-
-    def start(self) -> None: ...
-
-    def run(self, job: JobRow, stopping: threading.Event) -> Ended:
-        return Attempt(self._store, self._worker, job, stopping.is_set).run()
-
-    def stop(self) -> None: ...
 
 
 class Runner:
@@ -69,7 +39,8 @@ class Runner:
         self._metrics = metrics
         self._lease_seconds = lease_seconds
         self._max_attempts = max_attempts
-        self._name = name or new_id()
+        #: Under which jobs are leased.
+        self.name = name or new_id()
         self._held: dict[str, JobRow] = {}
         self._news = threading.Condition()
         self._told = 0
@@ -110,8 +81,11 @@ class Runner:
     def _loop(self) -> None:
         while not self._stopping.is_set():
             told = self._told
+            if not self._engine.ready():
+                self._stopping.wait(ENGINE_LOOK)
+                continue
             try:
-                job = self._store.claim(self._name, self._lease_seconds)
+                job = self._store.claim(self.name, self._lease_seconds)
                 if job is not None:
                     self._run(job)
                     continue
@@ -130,7 +104,10 @@ class Runner:
             ended = self._engine.run(job, self._stopping)
         except Lost as error:
             _log.warning("job %s, attempt %d was lost: %s", job.id, job.attempt, error)
-            self._store.give_back(job, self._max_attempts, EXHAUSTED)
+            if error.blame:
+                self._store.give_back(job, self._max_attempts, EXHAUSTED)
+            else:
+                self._store.put_back(job)
             ended = "lost"
         finally:
             # Before the lease is given up: from here on nobody renews it.
@@ -153,6 +130,7 @@ class Runner:
             except Exception:
                 _log.exception("leases can't be renewed; trying again")
                 continue
+            forget_when_many()
             if again:
                 _log.warning("the leases of %d job(s) lapsed; they wait again", again)
                 self.wake()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
+
+from api.place import Place
 
 
 @dataclass(frozen=True)
@@ -12,7 +15,10 @@ class Settings:
 
     folder : the data folder; blobs, results, the default database and the compilation cache live in it.
     database_url : any SQLAlchemy URL; None is SQLite in the data folder.
-    workers : threads that run jobs.
+    storage : of blobs and results, a folder or an fsspec URL; None is the data folder.
+    engine : what does the jobs' work: "threads" of this process, or "dask".
+    scheduler : the address of a Dask scheduler; None starts one here, with workers.
+    workers : jobs that run at once.
     max_upload_bytes, max_body_bytes : of one uploaded table, and of any other request's body.
     parsers : uploads that are read at once.
     max_parse_bytes, max_parse_seconds : what reading one upload may take of memory and time.
@@ -32,7 +38,10 @@ class Settings:
     """
 
     folder: Path
-    database_url: str | None = None
+    database_url: str | None = field(default=None, repr=False)
+    storage: str | None = None
+    engine: Literal["threads", "dask"] = "threads"
+    scheduler: str | None = None
     workers: int = 2
     max_upload_bytes: int = 256 << 20
     max_body_bytes: int = 64 << 20
@@ -55,6 +64,12 @@ class Settings:
     burst: int = 200
     cached_tables: int = 4
     grace_seconds: float = 10.0
+
+    @property
+    def place(self) -> Place:
+        """Where everything is."""
+        folder = self.folder.resolve()
+        return Place(folder, self.url, self.storage or str(folder))
 
     @property
     def url(self) -> str:

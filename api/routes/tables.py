@@ -116,6 +116,8 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
         name=(found.name or options.name or sha256[:12])[:255],
         sha256=sha256, size=incoming.size, options=options.to_dict(), description=found.description,
     )  # fmt: skip
+    # Outside first, because it may take long; inside there is nothing to do then, or nearly always.
+    here.service.blobs.keep(incoming, sha256)
     with here.service.store.guarding():
         here.service.blobs.keep(incoming, sha256)
         here.service.store.add(row)

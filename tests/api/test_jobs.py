@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from api.jobs import EXHAUSTED, InProcess, Runner
+from api.engine import InProcess
+from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
 from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, PosteriorRow, TableRow
 from api.store import InUse, Missing, QueueFull, Store, new_id

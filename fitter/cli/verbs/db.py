@@ -26,6 +26,11 @@ def place(parser: argparse.ArgumentParser) -> None:
         "in the folder)",
     )  # fmt: skip
 
+    parser.add_argument(
+        "--storage", metavar="URL",
+        help="where uploads and results are kept instead of the folder: any that fsspec knows, as s3://bucket/x",
+    )  # fmt: skip
+
 
 def database(given: argparse.Namespace) -> str | None:
     """The database that was named, None for the one in the folder."""
