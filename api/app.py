@@ -13,7 +13,8 @@ from api import openapi, pages, problems
 from api.conditional import Conditional
 from api.guard import Guard
 from api.idempotency import Idempotent
-from api.limits import BodyLimit, Counted
+from api.limits import BodyLimit
+from api.observed import Observed
 from api.routes import fits, health, jobs, models, tables, tradeoffs
 from api.service import Service
 from api.settings import Settings
@@ -46,7 +47,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Conditional)
     app.add_middleware(Guard, settings=settings)
-    app.add_middleware(Counted)
+    app.add_middleware(Observed)
     problems.install(app)
     for room in (tables, fits, tradeoffs, jobs, models, health):
         app.include_router(room.router)

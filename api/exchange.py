@@ -143,6 +143,8 @@ def respond_samples(
     request: Request, drawn: Samples, channels: Sequence[str], slices: list[dict[str, Any]] | None = None
 ) -> Response:
     """Draws as JSON, or as a structured array with the acceptance and the seed in headers."""
+    sampler = request.url.path.split("/")[2].removesuffix("s")
+    request.app.state.service.metrics.acceptance(sampler, drawn.acceptance)
     fields = ("wo", "pdf", "weight", "valid", "is_delta")
     columns = {name: getattr(drawn, name) for name in fields}
     if drawn.wi is not None:

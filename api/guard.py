@@ -9,7 +9,7 @@ from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api import keys
+from api import keys, logs
 from api.keys import Caller
 from api.problems import Problem, answer
 from api.rates import Rates
@@ -55,6 +55,8 @@ class Guard:
             if self._settings.keys:
                 caller = await self._caller(scope)
             scope.setdefault("state", {})["caller"] = caller
+            if caller.key is not None:
+                logs.naming(key=caller.key)
             taken = self._rates.take(caller.key or _address(scope))
             if taken is not None and taken.retry_after:
                 raise Problem(
@@ -69,7 +71,7 @@ class Guard:
                     remedy="have the server's operator make one",
                 )  # fmt: skip
         except Problem as problem:
-            await answer(problem, scope["path"])(scope, receive, send)
+            await answer(problem, scope)(scope, receive, send)
             return
 
         async def told(message: Message) -> None:

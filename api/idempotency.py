@@ -124,7 +124,7 @@ class Idempotent:
                     parameter="Idempotency-Key", remedy="give each request a key of its own",
                 )  # fmt: skip
         except Problem as problem:
-            await answer(problem, scope["path"])(scope, receive, send)
+            await answer(problem, scope)(scope, receive, send)
             return
         except ClientDisconnect:
             return

@@ -113,7 +113,14 @@ class Runner:
             # Before the lease is given up: from here on nobody renews it.
             del self._held[job.id]
         if ended not in ("queued", "overtaken"):
-            self._metrics.job(job.kind, ended, time.monotonic() - begun)
+            self._tell(job, ended, time.monotonic() - begun)
+
+    def _tell(self, job: JobRow, ended: str, seconds: float) -> None:
+        """The metrics and the log of a run that has ended."""
+        row = self._store.get(JobRow, job.id)
+        self._metrics.job(job.kind, ended, seconds, [] if row is None else row.results)
+        about = {"job": job.id, "kind": job.kind, "attempt": job.attempt, "state": ended}
+        _log.info("a job has ended", extra={**about, "seconds": round(seconds, 3)})
 
     def _keep(self) -> None:
         while not self._stopped.wait(self._lease_seconds / 3):

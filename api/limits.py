@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.metrics import Metrics
 from api.problems import Problem
 from api.settings import Settings
 from fitter.spec import PosteriorSpec
@@ -57,23 +56,3 @@ class BodyLimit:
             return message
 
         await self._app(scope, counted, send)
-
-
-class Counted:
-    """Middleware that counts answers."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
-        async def noted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                metrics: Metrics = scope["app"].state.service.metrics
-                metrics.request(scope["method"], message["status"])
-            await send(message)
-
-        await self._app(scope, receive, noted)

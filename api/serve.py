@@ -6,6 +6,7 @@ from types import FrameType
 
 import uvicorn
 
+from api import logs
 from api.app import create_app
 from api.service import Service, check_folder, check_parts
 from api.settings import Settings
@@ -33,10 +34,11 @@ def serve(settings: Settings, *, host: str = "127.0.0.1", port: int = 8000, log_
     """
     check_folder(settings)
     check_parts(settings)
+    logs.configure(log_level)
     _jax.compile_sooner()
     _jax.use_compilation_cache(settings.place.programs)
     config = uvicorn.Config(
-        create_app(settings), host=host, port=port, log_level=log_level, server_header=False,
+        create_app(settings), host=host, port=port, log_config=None, access_log=False, server_header=False,
         timeout_graceful_shutdown=CONNECTION_GRACE,
     )  # fmt: skip
     _Server(config).run()

@@ -335,14 +335,17 @@ class Table:
         theta_o, _ = directions.spherical_from_vector(wo)
         # Out of plane where the triple product n . (wi x wo) is not zero.
         out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
-        azimuth = phi_i if self.symmetry == "anisotropic" else np.zeros_like(phi_i)
         # One integer per incidence: unique rows of a million-row array take a second.
-        azimuth = np.where(theta_i > SAME_DIRECTION, azimuth, 0.0)
-        key = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000 + np.rint(azimuth * 1e5).astype(np.int64)
+        azimuth = np.where(theta_i > SAME_DIRECTION, phi_i, 0.0)
+        polar = np.rint(theta_i * 1e5).astype(np.int64)
+        if self.symmetry == "anisotropic":
+            incidences = len(np.unique(polar * 1_000_000 + np.rint(azimuth * 1e5).astype(np.int64)))
+        else:  # small numbers, which are sooner counted than sorted
+            incidences = int(np.count_nonzero(np.bincount(polar)))
         return Domain(
             theta_i=(float(theta_i.min()), float(theta_i.max())),
             theta_o=(float(theta_o.min()), float(theta_o.max())),
-            incidences=len(np.unique(key)),
+            incidences=incidences,
             in_plane=bool(out_of_plane.max() < 1e-3),
         )
 

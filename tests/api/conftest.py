@@ -83,9 +83,9 @@ def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
 
 @pytest.fixture(scope="module")
 def serving_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., TestClient]]:
-    """The same, for a service that a module's tests share."""
-    with _services(tmp_path_factory.mktemp("guarded")) as start:
-        yield start
+    """The same, each in a folder of its own, for services that a module's tests share."""
+    with _services(tmp_path_factory.mktemp("shared")) as start:
+        yield lambda **settings: start(folder=tmp_path_factory.mktemp("data"), **settings)
 
 
 @pytest.fixture(scope="session")
