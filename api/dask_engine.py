@@ -120,19 +120,21 @@ class Dask:
     def _keep(self) -> None:
         """Have a client of the scheduler that there is."""
         while not self._stopping.wait(LOOK_EVERY if self._client else 0.05):
-            address = self.cluster.address if self.cluster is not None else self._scheduler
-            client = self._client
-            if client is not None and client.status == "connecting":
-                _log.warning("the Dask scheduler at %s is gone", self._client_of)
-            if client is not None and (client.status == "closed" or address != self._client_of):
-                self._close_client()
-            if self._client is None and address is not None:
-                try:
-                    self._client = Client(address, timeout=TIMEOUT, set_as_default=False)
-                    self._client_of = address
-                except OSError as error:
-                    _log.warning("the Dask scheduler at %s does not answer: %s", address, error)
-                    self._stopping.wait(1.0)
+            try:
+                self._look()
+            except Exception as error:
+                # The scheduler is not there yet, or not any more; the thread has to outlive that.
+                _log.warning("the Dask scheduler does not answer: %s", error)
+                self._stopping.wait(1.0)
+
+    def _look(self) -> None:
+        address = self.cluster.address if self.cluster is not None else self._scheduler
+        client = self._client
+        if client is not None and (client.status == "closed" or address != self._client_of):
+            self._close_client()
+        if self._client is None and address is not None:
+            self._client = Client(address, timeout=TIMEOUT, set_as_default=False)
+            self._client_of = address
 
     def _close_client(self) -> None:
         client, self._client = self._client, None

@@ -22,9 +22,10 @@ class _Process:
 
     def __init__(self, *words: str) -> None:
         self.born = time.monotonic()
-        self.popen = subprocess.Popen(
-            [sys.executable, "-m", "api.dask_process", *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
+        # Only the scheduler is listened to: a pipe that nobody reads stops, once full, who writes to it.
+        out = subprocess.DEVNULL if words else subprocess.PIPE
+        command = [sys.executable, "-m", "api.dask_process", *words]
+        self.popen = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out)
 
     def address(self) -> str:
         """What it says once it listens; empty where it died before."""

@@ -11,10 +11,10 @@ _log = logging.getLogger("brdf_fitter.api")
 _MAPS = Path("/proc/self/maps")
 _MOST = Path("/proc/sys/vm/max_map_count")
 #: The share of the maps that Linux grants a process above which compiled programs are forgotten.
-_SHARE = 0.6
+SHARE = 0.6
 
 
-def forget_when_many() -> bool:
+def forget_when_many(share: float = SHARE) -> bool:
     """Forget the compiled programs when they take most of the memory maps that Linux grants; True if so.
 
     A program is mapped in a dozen pieces or more, a process may have 65,530 by default, and the compiler
@@ -24,7 +24,7 @@ def forget_when_many() -> bool:
     if not (_MAPS.exists() and _MOST.exists()):
         return False
     count = _MAPS.read_bytes().count(b"\n")
-    if count <= _SHARE * int(_MOST.read_text()):
+    if count <= share * int(_MOST.read_text()):
         return False
     import jax
 

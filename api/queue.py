@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import orjson
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
@@ -111,9 +112,9 @@ class Queue(Sessions):
             row = _mine(session, job)
             if row is None:
                 there = session.get(JobRow, job.id)
-                return there is not None and (there.state, there.attempt, there.results) == (
-                    DONE, job.attempt, results,
-                )  # fmt: skip
+                if there is None or (there.state, there.attempt) != (DONE, job.attempt):
+                    return False
+                return _json(there.results) == _json(results)
             for made in rows:
                 made.owner = row.owner
             session.add_all(rows)
@@ -224,6 +225,10 @@ def _log(session: Session, row: JobRow) -> None:
             data={name: getattr(row, name) for name in SHOWN},
         )
     )  # fmt: skip
+
+
+def _json(results: list[dict[str, Any]]) -> bytes:
+    return orjson.dumps(results, option=orjson.OPT_SORT_KEYS)
 
 
 def _now(session: Session) -> float:
