@@ -113,10 +113,12 @@ class Client:
                     f"can't be read: {error.strerror}", code="file-unreadable", file=str(source),
                     remedy="give one file; a folder goes as a zip archive",
                 ) from error  # fmt: skip
-        given = {name: value for name, value in options.items() if value is not None}
-        if "columns" in given:
-            given["columns"] = orjson.dumps(given["columns"]).decode()
-        answer = self.request("POST", "/v1/tables", content=source, params=given)
+        answer = self.request("POST", "/v1/tables", content=source, params=_options(options))
+        return TableDocument.model_validate_json(answer.content)
+
+    def read_again(self, id: str, **options: Any) -> TableDocument:
+        """Another table from the same bytes, read with other options."""
+        answer = self.request("POST", f"/v1/tables/{id}/readings", params=_options(options))
         return TableDocument.model_validate_json(answer.content)
 
     def table(self, id: str) -> TableDocument:
@@ -282,6 +284,14 @@ class Client:
 
     def _get(self, path: str, kind: type[_D]) -> _D:
         return kind.model_validate_json(self.request("GET", path).content)
+
+
+def _options(options: Mapping[str, Any]) -> Document:
+    """Reading options as query parameters."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if "columns" in given:
+        given["columns"] = orjson.dumps(given["columns"]).decode()
+    return given
 
 
 def _unreachable(error: Exception) -> ServiceFailed:

@@ -15,7 +15,7 @@ def when(seconds: float) -> str:
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    verbs = ("info", "check", "evaluate", "samples", "slices")
+    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     return {

@@ -137,6 +137,29 @@ def _columns(text: str | None) -> dict[str, Any] | None:
     return found
 
 
+@router.post(
+    "/{id}/readings", status_code=201, response_model=schemas.TableDocument,
+    responses=problems(404, 422),
+)  # fmt: skip
+async def read_again(
+    id: str, response: Response, here: Here, reading: Annotated[ReadingOptions, Query()]
+) -> dict[str, Any]:
+    """Read a table's bytes once more, with other options: another table, without another upload.
+
+    Options that are not given are those of the table.
+    """
+    given = reading.model_dump(exclude_unset=True)
+    if "columns" in given:
+        given["columns"] = _columns(reading.columns)
+    row = await to_thread.run_sync(here.get, TableRow, id)
+    options = read_options({**row.options, **given})
+    with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
+        await to_thread.run_sync(lambda: incoming.write(here.service.blobs.read(row.sha256)))
+        made = await to_thread.run_sync(_keep, here, incoming, options, limiter=here.service.parsers.limiter)
+    response.headers["Location"] = f"/v1/tables/{made.id}"
+    return documents.table(made)
+
+
 @router.get("", response_model=schemas.Page[schemas.TableDocument], responses=problems(422))
 def tables(
     request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
