@@ -31,6 +31,8 @@ router = APIRouter(tags=["models"])
 
 #: Pairs are padded to the next power of two, so that a handful of compiled programs serve all requests.
 SMALLEST_BUCKET = 64
+#: Bytes whose multiples JAX's arrays begin at.
+ALIGNMENT = 64
 
 
 @router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
@@ -162,11 +164,19 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
 
 
 def _model(here: Mine, id: str) -> Any:
-    return fitter.models.from_dict(here.get(ModelRow, id).document)
+    return here.service.models.open(here.get(ModelRow, id))
 
 
 def _padded(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) with the last one repeated up to the bucket's size."""
     count = max(SMALLEST_BUCKET, 1 << (len(wi) - 1).bit_length())
-    more = ((0, count - len(wi)), (0, 0))
-    return np.pad(wi, more, mode="edge"), np.pad(wo, more, mode="edge")
+    return _stretched(wi, count), _stretched(wo, count)
+
+
+def _stretched(w: FloatArray, count: int) -> FloatArray:
+    # Memory that begins where JAX wants it is used as it is; other it copies once more.
+    room = np.empty(3 * count + ALIGNMENT // 8)
+    start = -room.ctypes.data % ALIGNMENT // 8
+    stretched = room[start : start + 3 * count].reshape(count, 3)
+    stretched[: len(w)], stretched[len(w) :] = w, w[-1]
+    return stretched
