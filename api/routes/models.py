@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 import fitter
 from api import documents, schemas
@@ -20,10 +20,12 @@ from api.exchange import (
     respond,
     respond_samples,
 )
+from api.exports import ChosenChannels, export_responses, media_type, respond_export
 from api.openapi import array_request, array_response
 from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
 from fitter.errors import SpecError
+from fitter.export import subject, target, targets
 from fitter.models.describe import default, describe
 from fitter.spec import OPTIONS, ModelSpec, model_spec
 
@@ -133,6 +135,36 @@ def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here)
     found = _model(here, id)
     wi = checked_draws(wanted.wi, wanted.n, here.service.settings.max_draws)
     return respond_samples(request, found.sample(wi, wanted.n, seed=wanted.seed), found.channels)
+
+
+@router.get(
+    "/v1/models/{id}/export/{format}", response_class=Response,
+    responses={**export_responses(tables=False), **problems(404, 422)},
+)  # fmt: skip
+def export(
+    id: str, format: str, here: Here, channels: ChosenChannels = None,
+    unconverged: Annotated[bool, Query(description="also a fit that did not converge")] = False,
+) -> Response:  # fmt: skip
+    """The model as a file of another program; `/v1/export-targets` lists the formats."""
+    row = here.get(ModelRow, id)
+    chosen = target(format)
+    if row.origin == "fit":
+        from fitter.fitting import FitResult  # takes a second, and only here
+
+        found = subject(FitResult.from_dict(here.service.results.read(row.id)))
+    else:
+        found = subject(fitter.models.from_dict(row.document), name=row.name)
+    return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
+
+
+@router.get("/v1/export-targets", response_model=list[schemas.ExportTargetDocument])
+def export_targets() -> list[dict[str, Any]]:
+    """What models and tables can be exported to."""
+    return [
+        {"name": entry.name, "description": entry.description, "models": entry.models, "tables": entry.tables,
+         "convention": entry.convention, "media_type": media_type(entry.name)}
+        for entry in targets()
+    ]  # fmt: skip
 
 
 @router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
