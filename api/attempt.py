@@ -5,15 +5,14 @@ The same in a thread of the server and in a worker of a cluster.
 
 from __future__ import annotations
 
-import errno
 import logging
 import time
 from collections.abc import Callable
 from typing import Literal
 
-from sqlalchemy.exc import InterfaceError, OperationalError, SQLAlchemyError
-from sqlalchemy.exc import TimeoutError as PoolTimeout
+from sqlalchemy.exc import SQLAlchemyError
 
+from api.outages import DATABASE, outage
 from api.problems import Problem, document, internal, of_fitter_error
 from api.queue import Queue
 from api.rows import JobRow
@@ -31,8 +30,6 @@ LOOK_EVERY = 1.0
 #: Seconds between attempts to write how a job ended. After the last one the lease lapses, and the job is
 #: started again.
 RETRY_AFTER = (0.2, 0.5, 1.0, 2.0, 2.0, 2.0, 4.0, 4.0, 8.0, 8.0, 16.0)
-#: What passes by itself: the database is restarted, connections were cut, all are in use, its disk is full.
-PASSING = (OperationalError, InterfaceError, PoolTimeout)
 
 #: How it went: a final state of the row, "queued" where it was put back, "overtaken" where it is not ours.
 Ended = Literal["done", "failed", "cancelled", "queued", "overtaken"]
@@ -61,12 +58,9 @@ class Attempt:
             outcome = Outcome(problem=of_fitter_error(error))
         except Problem as error:
             outcome = Outcome(problem=document(error.status_code, error.code, error.detail, **error.more))
-        except OSError as error:
+        except Exception as error:
             _log.exception("job %s failed", job.id)
-            outcome = Outcome(problem=_of_system(error))
-        except Exception:
-            _log.exception("job %s failed", job.id)
-            outcome = Outcome(problem=internal())
+            outcome = Outcome(problem=outage(error) or internal())
         return self._finish(outcome)
 
     def _finish(self, outcome: Outcome) -> Ended:
@@ -92,7 +86,7 @@ class Attempt:
         for wait in RETRY_AFTER:
             try:
                 return write()
-            except PASSING:
+            except DATABASE:
                 _log.warning("the database does not take a job's end; again in %g s", wait, exc_info=True)
                 time.sleep(wait)
         return write()
@@ -116,11 +110,3 @@ class Attempt:
             return
         if stop:
             raise Cancelled
-
-
-def _of_system(error: OSError) -> dict[str, object]:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return document(
-            507, "disk-full", "the server's disk is full", remedy="tell the server's operator, then try again"
-        )
-    return internal()

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api import logs
 from api.keys import Caller
 from api.metrics import Metrics
+from api.outages import RETRY_AFTER, outage
 from api.problems import internal, respond
 
 _log = logging.getLogger("brdf_fitter.access")
@@ -55,9 +56,15 @@ class Observed:
         try:
             await self._app(scope, receive, noted)
         except Exception as error:
-            _log.error("%s %s failed", scope["method"], scope["path"], exc_info=error)
+            known = outage(error)
+            if known is None:
+                _log.error("%s %s failed", scope["method"], scope["path"], exc_info=error)
+            else:
+                _log.warning("%s %s: %s", scope["method"], scope["path"], error)
             if not status:
-                await respond({**internal(), "request": id}, scope)(scope, receive, noted)
+                headers = {} if known is None else {"Retry-After": str(RETRY_AFTER)}
+                answer = respond({**(known or internal()), "request": id}, scope, headers)
+                await answer(scope, receive, noted)
         seconds = time.perf_counter() - begun
         metrics: Metrics = scope["app"].state.service.metrics
         route = getattr(scope.get("route"), "path", "none")

@@ -65,7 +65,7 @@ class Parsers:
         found: dict[str, Any] | None
         try:
             # JSON, not pickles: what comes out of there is made by what may be a hostile file's code by now.
-            found = orjson.loads(receiver.recv_bytes()) if receiver.poll(self._limits.seconds) else None
+            found: Any = orjson.loads(receiver.recv_bytes()) if receiver.poll(self._limits.seconds) else None
         except EOFError:
             process.join()
             found = {"died": process.exitcode}

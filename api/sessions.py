@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, Float, func, select
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.functions import FunctionElement
@@ -16,6 +17,7 @@ from sqlalchemy.sql.functions import FunctionElement
 from api import migrations
 from api.database import open_engine
 from api.rows import Row
+from fitter.errors import FitError
 
 _R = TypeVar("_R", bound=Row)
 _ID = re.compile("[0-9a-f]{32}")
@@ -51,7 +53,8 @@ def _postgresql_now(element: Any, compiler: Any, **more: Any) -> str:
 class Sessions:
     """An open database. SQLite is brought to this version's rows, PostgreSQL has to have been.
 
-    Raises SpecError for a URL that can't be used, and for a database of another version.
+    Raises SpecError for a URL that can't be used, and for a database of another version; FitError where it
+    does not answer.
     """
 
     def __init__(self, url: str) -> None:
@@ -61,6 +64,12 @@ class Sessions:
                 migrations.require(self._engine)
             else:
                 migrations.upgrade(self._engine)
+        except OperationalError as error:
+            self._engine.dispose()
+            raise FitError(
+                f"the database does not answer: {error.orig}", code="database-away",
+                remedy="see that it runs and that its address is right",
+            ) from error  # fmt: skip
         except BaseException:
             self._engine.dispose()
             raise
