@@ -66,8 +66,8 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that are cut off are sent again a few times: what a POST makes
-    is made once all the same (``Idempotency-Key``).
+    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times: what a POST
+    makes is made once all the same (``Idempotency-Key``).
     """
 
     def __init__(
@@ -274,7 +274,9 @@ class Client:
         waits = list(RETRY_AFTER)
         while True:
             try:
-                return self._http.request(method, path, headers=headers, **more)
+                answer = self._http.request(method, path, headers=headers, **more)
+                if answer.status_code != 503 or not waits:
+                    return answer
             except httpx.TransportError as error:
                 if not waits or isinstance(error, _FINAL):
                     raise _unreachable(error) from error

@@ -82,7 +82,8 @@ def _guarded(operation: dict[str, Any], scope: str) -> None:
     operation["security"] = [{"key": [scope]}, {}]
     for status, says in (
         ("401", "This server asks for an API key"), ("403", "The key does not have the scope"),
-        ("429", "Too many requests, or too many jobs wait"),
+        ("429", "Too many requests, or too many jobs wait"), ("503", "The database is away for a while"),
+        *([("507", "The disk is full")] if scope == "write" else []),
     ):  # fmt: skip
         operation["responses"].setdefault(status, {"description": says})
 
