@@ -66,8 +66,8 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times: what a POST
-    makes is made once all the same (``Idempotency-Key``).
+    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times: what a
+    POST makes is made once all the same (``Idempotency-Key``).
     """
 
     def __init__(

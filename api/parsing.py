@@ -62,7 +62,6 @@ class Parsers:
         )
         process.start()
         sender.close()
-        found: dict[str, Any] | None
         try:
             # JSON, not pickles: what comes out of there is made by what may be a hostile file's code by now.
             found: Any = orjson.loads(receiver.recv_bytes()) if receiver.poll(self._limits.seconds) else None
