@@ -45,7 +45,7 @@ serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
 
 lock: ## resolve requirements.lock again (needs uv)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-		--no-header pyproject.toml --group dev -o requirements.lock
+		--no-header pyproject.toml --group dev --extra renderers -o requirements.lock
 
 clean: ## remove everything that make has made
 	rm -rf .venv .cache demo build dist .hypothesis .ruff_cache

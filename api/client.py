@@ -66,8 +66,8 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that are cut off are sent again a few times: what a POST makes
-    is made once all the same (``Idempotency-Key``).
+    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times: what a
+    POST makes is made once all the same (``Idempotency-Key``).
     """
 
     def __init__(
@@ -113,10 +113,12 @@ class Client:
                     f"can't be read: {error.strerror}", code="file-unreadable", file=str(source),
                     remedy="give one file; a folder goes as a zip archive",
                 ) from error  # fmt: skip
-        given = {name: value for name, value in options.items() if value is not None}
-        if "columns" in given:
-            given["columns"] = orjson.dumps(given["columns"]).decode()
-        answer = self.request("POST", "/v1/tables", content=source, params=given)
+        answer = self.request("POST", "/v1/tables", content=source, params=_options(options))
+        return TableDocument.model_validate_json(answer.content)
+
+    def read_again(self, id: str, **options: Any) -> TableDocument:
+        """Another table from the same bytes, read with other options."""
+        answer = self.request("POST", f"/v1/tables/{id}/readings", params=_options(options))
         return TableDocument.model_validate_json(answer.content)
 
     def table(self, id: str) -> TableDocument:
@@ -272,7 +274,9 @@ class Client:
         waits = list(RETRY_AFTER)
         while True:
             try:
-                return self._http.request(method, path, headers=headers, **more)
+                answer = self._http.request(method, path, headers=headers, **more)
+                if answer.status_code != 503 or not waits:
+                    return answer
             except httpx.TransportError as error:
                 if not waits or isinstance(error, _FINAL):
                     raise _unreachable(error) from error
@@ -282,6 +286,14 @@ class Client:
 
     def _get(self, path: str, kind: type[_D]) -> _D:
         return kind.model_validate_json(self.request("GET", path).content)
+
+
+def _options(options: Mapping[str, Any]) -> Document:
+    """Reading options as query parameters."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if "columns" in given:
+        given["columns"] = orjson.dumps(given["columns"]).decode()
+    return given
 
 
 def _unreachable(error: Exception) -> ServiceFailed:

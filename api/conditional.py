@@ -29,7 +29,7 @@ class Conditional:
 
         async def tagged(message: Message) -> None:
             nonlocal held
-            if message["type"] == "http.response.start" and message["status"] == 200:
+            if message["type"] == "http.response.start" and message["status"] == 200 and not _flows(message):
                 held = message
                 return
             if held is not None:
@@ -40,6 +40,11 @@ class Conditional:
             await send(message)
 
         await self._app(scope, receive, tagged)
+
+
+def _flows(start: Message) -> bool:
+    """Whether events follow: who waits for them is told at once that they come."""
+    return Headers(raw=start["headers"]).get("content-type", "").startswith("text/event-stream")
 
 
 def _of_whole(start: Message, body: Message, given: str | None) -> tuple[Message, Message]:

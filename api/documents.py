@@ -15,9 +15,10 @@ def when(seconds: float) -> str:
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    verbs = ("info", "check", "evaluate", "samples", "slices")
+    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
+    links["export"] = f"{here}/export/{{format}}"
     return {
         "id": row.id, "name": row.name, "created": when(row.created), "sha256": row.sha256, "bytes": row.size,
         "options": row.options, "description": row.description, "links": links,
@@ -90,6 +91,7 @@ def tradeoff_links(id: str) -> dict[str, str]:
 def _model_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/models/{row.id}"
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "sample", "pdf", "albedo")}}
+    links["export"] = f"{here}/export/{{format}}"
     return {**links, "fit": f"/v1/fits/{row.id}"} if row.origin == "fit" else links
 
 

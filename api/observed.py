@@ -45,6 +45,8 @@ class Observed:
                 status = message["status"]
                 headers = MutableHeaders(raw=list(message["headers"]))
                 headers["X-Request-Id"] = id
+                # All that takes time is done before an answer begins, but for streams.
+                headers["Server-Timing"] = f"app;dur={1e3 * (time.perf_counter() - begun):.1f}"
                 job = job or _job(headers.get("location", ""))
                 message = {**message, "headers": headers.raw}
             else:

@@ -18,7 +18,7 @@ _VECTOR = {"type": "array", "items": _COMPONENT, "minItems": 3, "maxItems": 3}
 _VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1}]}
 _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
 _PARAMETERS = {
-    "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0,
+    "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0, "format": "openexr",
     "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55",
 }  # fmt: skip
 _TABLE = """# quantity: brdf
@@ -82,7 +82,8 @@ def _guarded(operation: dict[str, Any], scope: str) -> None:
     operation["security"] = [{"key": [scope]}, {}]
     for status, says in (
         ("401", "This server asks for an API key"), ("403", "The key does not have the scope"),
-        ("429", "Too many requests, or too many jobs wait"),
+        ("429", "Too many requests, or too many jobs wait"), ("503", "The database is away for a while"),
+        *([("507", "The disk is full")] if scope == "write" else []),
     ):  # fmt: skip
         operation["responses"].setdefault(status, {"description": says})
 

@@ -411,3 +411,14 @@ class Health(BaseModel):
 
     status: Literal["ok"]
     version: str
+
+
+class ExportTargetDocument(BaseModel):
+    """Something a model or a table can be exported to."""
+
+    name: str
+    description: str
+    models: bool
+    tables: bool
+    convention: str = Field(description="units and cosine of what is in the file")
+    media_type: str

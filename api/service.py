@@ -14,6 +14,7 @@ from api.database import parsed
 from api.engine import Engine, InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
+from api.open_models import OpenModels
 from api.parsing import Limits, Parsers
 from api.problems import Problem
 from api.results import Results
@@ -52,6 +53,7 @@ class Service:
         )
         self.parsers = Parsers(settings.parsers, limits)
         self.tables = OpenTables(self.blobs, settings.cached_tables)
+        self.models = OpenModels(settings.cached_models)
         #: Set when the server is asked to stop: event streams end, so that nothing holds it up.
         self.stopping = threading.Event()
         #: One report at a time: drawing figures takes memory and every core there is.

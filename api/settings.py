@@ -33,7 +33,7 @@ class Settings:
     lease_seconds : how long a claim holds without being renewed; a job of a dead server waits this long.
     keys : whether requests need an API key.
     requests_per_second, burst : of one key, or address where no keys are needed; 0 is no limit.
-    cached_tables : parsed tables kept in memory.
+    cached_tables, cached_models : parsed tables, and models, kept in memory.
     grace_seconds : how long a stopping server waits for its jobs to reach a safe point.
     """
 
@@ -63,6 +63,7 @@ class Settings:
     requests_per_second: float = 0.0
     burst: int = 200
     cached_tables: int = 4
+    cached_models: int = 256
     grace_seconds: float = 10.0
 
     @property

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, overload
 
 #: Fewer bytes than this are hashed at once: it takes no longer than starting a thread.
@@ -11,14 +13,18 @@ AT_ONCE = 1 << 18
 
 
 class Digest:
-    """The sha256 of ``content``: :meth:`begin` lets a thread compute it, who asks before has it computed.
+    """A sha256 to come: :meth:`begin` lets a thread compute it, who asks before has it computed.
 
     hashlib holds no lock of the interpreter meanwhile, so that with a core to spare it holds nobody up.
-    The bytes are kept until it is done, whatever happens to the file; they must not be changed.
+
+    Parameters
+    ----------
+    compute : gives the digest, 64 hexadecimal digits, however often it is called; OSError where bytes that it
+        reads can't be read. What it holds is kept until it has been called.
     """
 
-    def __init__(self, content: memoryview) -> None:
-        self._content: memoryview | None = content
+    def __init__(self, compute: Callable[[], str]) -> None:
+        self._compute: Callable[[], str] | None = compute
         self._hex: str | None = None
         self._begun = False
 
@@ -26,24 +32,31 @@ class Digest:
         """Compute it in a thread of its own, if no call before began that."""
         if not self._begun:
             self._begun = True
-            threading.Thread(target=self.hexdigest, name="sha256").start()
+            threading.Thread(target=self._beside, name="sha256").start()
+
+    def _beside(self) -> None:
+        with suppress(OSError):  # whoever asks computes it again and meets the error, too
+            self.hexdigest()
 
     def hexdigest(self) -> str:
         """The digest, 64 hexadecimal digits."""
-        content = self._content
+        compute = self._compute
         # Never waits for the thread: a forked process has none, and one that ran late would hold us up.
-        if content is not None:
-            self._hex = hashlib.sha256(content).hexdigest()
-            self._content = None  # in this order: whoever finds no bytes finds the digest
+        if compute is not None:
+            self._hex = compute()
+            self._compute = None  # in this order: whoever finds nothing to compute finds the digest
         assert self._hex is not None
         return self._hex
 
 
 def digest_of(content: memoryview) -> str | Digest:
-    """The sha256 of ``content``: of a few bytes at once, of many as a :class:`Digest` to begin."""
+    """The sha256 of ``content``: of a few bytes at once, of many as a :class:`Digest` to begin.
+
+    The bytes are kept until it is done, whatever happens to the file; they must not be changed.
+    """
     if len(content) < AT_ONCE:
         return hashlib.sha256(content).hexdigest()
-    return Digest(content)
+    return Digest(lambda: hashlib.sha256(content).hexdigest())
 
 
 class DigestField:

@@ -37,8 +37,9 @@ def vector_from_spherical(theta: ArrayLike, phi: ArrayLike) -> Vectors:
 def spherical_components(theta: ArrayLike, phi: ArrayLike) -> tuple[Parts, Parts, Parts]:
     """The components of :func:`vector_from_spherical`, each of a shape that broadcasts to the angles'."""
     theta, phi = np.asarray(theta, np.float64), np.asarray(phi, np.float64)
-    sine = np.sin(theta)
-    return np.asarray(sine * np.cos(phi)), np.asarray(sine * np.sin(phi)), np.asarray(np.cos(theta))
+    z, sine = cosine_and_sine(theta)
+    x, y = cosine_and_sine(phi)
+    return np.asarray(sine * x), np.asarray(sine * y), z
 
 
 def spherical_from_vector(w: ArrayLike) -> tuple[Angles, Angles]:
@@ -57,9 +58,9 @@ def spherical_from_components(x: Parts, y: Parts, z: Parts) -> tuple[Angles, Ang
 
 
 def cosine_and_sine(angle: Parts) -> tuple[Parts, Parts]:
-    """Of angles by the tangent of their halves: to 3e-16, in a fifth of the time.
+    """Of angles by the tangent of their halves: to 3e-16, in a quarter of the time of NumPy's own.
 
-    Absolute, so not for a cosine that is divided by at grazing angles.
+    Absolute: near 90 degrees that is what an angle's own rounding makes of its cosine.
     """
     half = np.tan(0.5 * angle)
     square = half * half

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 
 #: Rows of a part.
-ROWS = 1 << 14
+ROWS = 1 << 13
 #: Threads take turns on fewer rows than this more slowly than one alone works through them.
 _MANY = 1 << 20
 _THREADS = 4

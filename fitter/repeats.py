@@ -30,9 +30,13 @@ _NAN, _INFINITE, _LEVELS = 1_000_010, 1_000_011, 1 << 21
 
 def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
     """(N,) True for every pair of unit vectors ``wi``, ``wo`` (N, 3) that an earlier one is to ``STEP``."""
-    first, second = _packed(wi), _packed(wo)
-    found = np.zeros(len(first), bool)
-    mixed = _mixed(first, second)
+    found = np.zeros(len(wi), bool)
+    mixed = np.empty(len(wi), np.uint64)
+
+    def mix(part: slice) -> None:
+        mixed[part] = _mixed(_packed(wi[part]), _packed(wo[part]))
+
+    in_parts(mix, len(mixed))
     several = _several(mixed)
     if not several.size:
         return found
@@ -45,8 +49,10 @@ def repeated(wi: FloatArray, wo: FloatArray) -> BoolArray:
     # Rows that differ may mix to one number: those that do are compared in full.
     rows = np.flatnonzero(found)
     found[:] = False
-    rows = rows[np.lexsort((second[rows], first[rows]))]  # stable: the earliest of each kind stays in front
-    same = (first[rows[1:]] == first[rows[:-1]]) & (second[rows[1:]] == second[rows[:-1]])
+    first, second = _packed(wi[rows]), _packed(wo[rows])
+    order = np.lexsort((second, first))  # stable: the earliest of each kind stays in front
+    rows, first, second = rows[order], first[order], second[order]
+    same = (first[1:] == first[:-1]) & (second[1:] == second[:-1])
     found[rows[1:][same]] = True
     return found
 
@@ -81,29 +87,17 @@ def _doubled(ordered: NDArray[_Key]) -> NDArray[_Key]:
 
 def _mixed(first: KeyArray, second: KeyArray) -> KeyArray:
     """One number for both, nearly always another for another pair: multiples of large odd numbers."""
-    mixed = np.empty_like(first)
-
-    def mix(part: slice) -> None:
-        mixed[part] = first[part] * np.uint64(0x9E3779B97F4A7C15)
-        mixed[part] += second[part] * np.uint64(0xC2B2AE3D27D4EB4F)
-
-    in_parts(mix, len(mixed))
-    return mixed
+    return first * np.uint64(0x9E3779B97F4A7C15) + second * np.uint64(0xC2B2AE3D27D4EB4F)
 
 
 def _packed(w: FloatArray) -> KeyArray:
     """(N,) the three components of each row in steps, as one number."""
     keys = np.zeros(len(w), np.uint64)
-
-    def pack(rows: slice) -> None:
-        part = keys[rows]
-        for k in range(3):
-            step = np.rint(w[rows, k] / STEP)
-            step[np.isnan(step)] = _NAN
-            part *= np.uint64(_LEVELS)
-            part += (np.clip(step, -_INFINITE, _INFINITE) + _INFINITE).astype(np.uint64)
-
-    in_parts(pack, len(keys))
+    for k in range(3):
+        step = np.rint(w[:, k] / STEP)
+        step[np.isnan(step)] = _NAN
+        keys *= np.uint64(_LEVELS)
+        keys += (np.clip(step, -_INFINITE, _INFINITE) + _INFINITE).astype(np.uint64)
     return keys
 
 

@@ -330,23 +330,31 @@ class Table:
     def domain(self) -> Domain:
         """Range of the usable samples."""
         index = np.flatnonzero(self.mask)
-        wi, wo = self.directions(index)
-        theta_i, phi_i = directions.spherical_from_vector(wi)
-        theta_o, _ = directions.spherical_from_vector(wo)
-        # Out of plane where the triple product n . (wi x wo) is not zero.
-        out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
-        # One integer per incidence: unique rows of a million-row array take a second.
-        azimuth = np.where(theta_i > SAME_DIRECTION, phi_i, 0.0)
-        polar = np.rint(theta_i * 1e5).astype(np.int64)
-        if self.symmetry == "anisotropic":
-            incidences = len(np.unique(polar * 1_000_000 + np.rint(azimuth * 1e5).astype(np.int64)))
-        else:  # small numbers, which are sooner counted than sorted
-            incidences = int(np.count_nonzero(np.bincount(polar)))
+        key = np.empty(len(index), np.int64)
+        spans: list[FloatArray] = []
+
+        def look(part: slice) -> None:
+            wi, wo = self.directions(index[part])
+            theta_i, phi_i = directions.spherical_from_vector(wi)
+            theta_o, _ = directions.spherical_from_vector(wo)
+            # Out of plane where the triple product n . (wi x wo) is not zero.
+            out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
+            azimuth = phi_i if self.symmetry == "anisotropic" else np.zeros_like(phi_i)
+            # One integer per incidence: unique rows of a million-row array take a second.
+            azimuth = np.where(theta_i > SAME_DIRECTION, azimuth, 0.0)
+            key[part] = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000
+            key[part] += np.rint(azimuth * 1e5).astype(np.int64)
+            low = theta_i.min(), theta_o.min(), 0.0
+            spans.append(np.array([low, (theta_i.max(), theta_o.max(), out_of_plane.max())]))
+
+        in_parts(look, len(index))
+        key.sort()  # in a fifth of the time that np.unique takes for so many
+        low, high = np.min([span[0] for span in spans], axis=0), np.max([span[1] for span in spans], axis=0)
         return Domain(
-            theta_i=(float(theta_i.min()), float(theta_i.max())),
-            theta_o=(float(theta_o.min()), float(theta_o.max())),
-            incidences=incidences,
-            in_plane=bool(out_of_plane.max() < 1e-3),
+            theta_i=(float(low[0]), float(high[0])),
+            theta_o=(float(low[1]), float(high[1])),
+            incidences=1 + int(np.count_nonzero(np.diff(key))),
+            in_plane=bool(high[2] < 1e-3),
         )
 
     @cached_property

@@ -201,7 +201,7 @@ def fit_row(here: Mine, id: str) -> ModelRow:
 
 def _fit_request(wanted: schemas.FitRequest) -> dict[str, Any]:
     """What a job of these fits works from. Raises SpecError."""
-    auto = {"candidates", "folds", "budget_seconds"}
+    auto = {"candidates", "folds"}
     if wanted.model == AUTO and wanted.models is None:
         return {"selection": _selection(wanted)}
     if misplaced := sorted(auto & wanted.model_fields_set):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 import fitter
 from api import documents, schemas
@@ -20,10 +20,12 @@ from api.exchange import (
     respond,
     respond_samples,
 )
+from api.exports import ChosenChannels, export_responses, media_type, respond_export
 from api.openapi import array_request, array_response
 from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
 from fitter.errors import SpecError
+from fitter.export import subject, target, targets
 from fitter.models.describe import default, describe
 from fitter.spec import OPTIONS, ModelSpec, model_spec
 
@@ -31,6 +33,8 @@ router = APIRouter(tags=["models"])
 
 #: Pairs are padded to the next power of two, so that a handful of compiled programs serve all requests.
 SMALLEST_BUCKET = 64
+#: Bytes whose multiples JAX's arrays begin at.
+ALIGNMENT = 64
 
 
 @router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
@@ -133,6 +137,36 @@ def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here)
     return respond_samples(request, found.sample(wi, wanted.n, seed=wanted.seed), found.channels)
 
 
+@router.get(
+    "/v1/models/{id}/export/{format}", response_class=Response,
+    responses={**export_responses(tables=False), **problems(404, 422)},
+)  # fmt: skip
+def export(
+    id: str, format: str, here: Here, channels: ChosenChannels = None,
+    unconverged: Annotated[bool, Query(description="also a fit that did not converge")] = False,
+) -> Response:  # fmt: skip
+    """The model as a file of another program; `/v1/export-targets` lists the formats."""
+    row = here.get(ModelRow, id)
+    chosen = target(format)
+    if row.origin == "fit":
+        from fitter.fitting import FitResult  # takes a second, and only here
+
+        found = subject(FitResult.from_dict(here.service.results.read(row.id)))
+    else:
+        found = subject(fitter.models.from_dict(row.document), name=row.name)
+    return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
+
+
+@router.get("/v1/export-targets", response_model=list[schemas.ExportTargetDocument])
+def export_targets() -> list[dict[str, Any]]:
+    """What models and tables can be exported to."""
+    return [
+        {"name": entry.name, "description": entry.description, "models": entry.models, "tables": entry.tables,
+         "convention": entry.convention, "media_type": media_type(entry.name)}
+        for entry in targets()
+    ]  # fmt: skip
+
+
 @router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
 def families() -> list[dict[str, Any]]:
     """Every model there is, each with its options and the parameters of its default form; first those that
@@ -162,11 +196,19 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
 
 
 def _model(here: Mine, id: str) -> Any:
-    return fitter.models.from_dict(here.get(ModelRow, id).document)
+    return here.service.models.open(here.get(ModelRow, id))
 
 
 def _padded(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) with the last one repeated up to the bucket's size."""
     count = max(SMALLEST_BUCKET, 1 << (len(wi) - 1).bit_length())
-    more = ((0, count - len(wi)), (0, 0))
-    return np.pad(wi, more, mode="edge"), np.pad(wo, more, mode="edge")
+    return _stretched(wi, count), _stretched(wo, count)
+
+
+def _stretched(w: FloatArray, count: int) -> FloatArray:
+    # Memory that begins where JAX wants it is used as it is; other it copies once more.
+    room = np.empty(3 * count + ALIGNMENT // 8)
+    start = -room.ctypes.data % ALIGNMENT // 8
+    stretched = room[start : start + 3 * count].reshape(count, 3)
+    stretched[: len(w)], stretched[len(w) :] = w, w[-1]
+    return stretched

@@ -17,6 +17,7 @@ from api import documents, schemas
 from api.access import Here, Mine
 from api.blobs import Incoming
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
+from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
@@ -26,6 +27,7 @@ from api.schemas import Label
 from api.store import InUse, Missing
 from fitter import directions
 from fitter.documents import dumps
+from fitter.export import subject, target
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, Treatment, read_options
@@ -137,6 +139,29 @@ def _columns(text: str | None) -> dict[str, Any] | None:
     return found
 
 
+@router.post(
+    "/{id}/readings", status_code=201, response_model=schemas.TableDocument,
+    responses=problems(404, 422),
+)  # fmt: skip
+async def read_again(
+    id: str, response: Response, here: Here, reading: Annotated[ReadingOptions, Query()]
+) -> dict[str, Any]:
+    """Read a table's bytes once more, with other options: another table, without another upload.
+
+    Options that are not given are those of the table.
+    """
+    given = reading.model_dump(exclude_unset=True)
+    if "columns" in given:
+        given["columns"] = _columns(reading.columns)
+    row = await to_thread.run_sync(here.get, TableRow, id)
+    options = read_options({**row.options, **given})
+    with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
+        await to_thread.run_sync(lambda: incoming.write(here.service.blobs.read(row.sha256)))
+        made = await to_thread.run_sync(_keep, here, incoming, options, limiter=here.service.parsers.limiter)
+    response.headers["Location"] = f"/v1/tables/{made.id}"
+    return documents.table(made)
+
+
 @router.get("", response_model=schemas.Page[schemas.TableDocument], responses=problems(422))
 def tables(
     request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
@@ -245,6 +270,17 @@ def picture(id: str, here: Here) -> Response:
 
     found = portrait(here.service.tables.open(here.get(TableRow, id)).table)
     return Response(png(draw(found)), media_type="image/png")
+
+
+@router.get(
+    "/{id}/export/{format}", response_class=Response,
+    responses={**export_responses(tables=True), **problems(404, 422)},
+)  # fmt: skip
+def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
+    """The table as a file of another program; `/v1/export-targets` lists the formats."""
+    row = here.get(TableRow, id)
+    found = subject(here.service.tables.open(row).table, name=row.name)
+    return respond_export(found, target(format).name, channels=channels)
 
 
 @router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))

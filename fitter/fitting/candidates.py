@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 FloatArray = NDArray[np.float64]
 #: Samples that candidates are screened on; the solves use the whole subset.
@@ -24,6 +23,8 @@ def default_counts(dimensions: int) -> tuple[int, int]:
 
 def sobol(dimensions: int, count: int, seed: int) -> FloatArray:
     """(S, T) points that fill the unit cube, S the next power of two from ``count``."""
+    from scipy.stats import qmc  # half a second, and a model of one nonlinear parameter needs none of it
+
     points = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
     return points.random(1 << (count - 1).bit_length())
 

@@ -29,6 +29,7 @@ from fitter.fitting.chunks import (
 from fitter.fitting.layout import Layout
 from fitter.fitting.least_squares import MAX_PASSES, TOLERANCE, Solution, foretold, solve
 from fitter.fitting.samples import BLOCK, Block, Blocks, count
+from fitter.programs import kept
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +46,7 @@ class Normal(NamedTuple):
     objective: float
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+@kept("layout", "metric")
 def _accumulate(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> Array:
@@ -63,7 +64,7 @@ def _accumulate(
     return jax.lax.fori_loop(0, chunks, step, jnp.zeros((c, own + m + 1, own + m + 1)))
 
 
-@functools.partial(jax.jit, static_argnames="layout")
+@kept("layout")
 def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chunks: Array) -> Array:
     """The same where the channels have the same weights and the metric is a weighted square: the derivatives
     of all of them are combinations of the terms and the terms' slopes."""

@@ -12,7 +12,6 @@ Needs a metric that is a weighted sum of squares, and weights that don't depend 
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +28,7 @@ from fitter.fitting.metrics import QUADRATIC
 from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
 from fitter.models.pair import Pair
 from fitter.models.span import Span
+from fitter.programs import kept
 from fitter.spec import Metric
 from fitter.table import Grid, Table
 
@@ -117,7 +117,7 @@ def _grams(
     return np.concatenate(parts)[: slabs.count]
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "span", "slabs", "length"))
+@kept("layout", "span", "slabs", "length")
 def _sums(layout: Layout, span: Span, slabs: int, length: int, block: Arrays) -> Array:
     def one(start: Array) -> Array:
         pair, y, w = (

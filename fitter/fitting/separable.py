@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import Layout
+from fitter.programs import kept
 
 #: Relative ridge on the scaled normal matrix: below it columns are the same column.
 RIDGE = 1e-13
@@ -90,7 +91,7 @@ def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) ->
     return weight * (model(layout, layout.terms(u, pair), b) - y)
 
 
-@functools.partial(jax.jit, static_argnames="layout")
+@kept("layout")
 def screen(layout: Layout, candidates: Array, pair: Array, y: Array, weight: Array) -> Array:
     """Reduced objective (S, C) of each channel at candidates (S, T). One after the other: a batch would not
     fit the cache."""
@@ -122,7 +123,7 @@ def solve_many(
     return u, objective, inner
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "steps"))
+@kept("layout", "steps")
 def _solve_some(
     layout: Layout, starts: Array, count: Array, pair: Array, y: Array, weight: Array, moving: Array,
     steps: int,

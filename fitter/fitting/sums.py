@@ -27,6 +27,7 @@ from fitter.fitting.chunks import (
 )
 from fitter.fitting.layout import Layout
 from fitter.fitting.samples import Block, Blocks
+from fitter.programs import kept
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +58,7 @@ def errors(
     return Errors(*(float(total) for total in functools.reduce(np.add, over_blocks(one, blocks))))
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+@kept("layout", "metric")
 def _errors(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> Array:
@@ -101,7 +102,7 @@ def scores(
     return Scores(step * outer, step * second**2 / np.maximum(fourth, 1e-300))
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+@kept("layout", "metric")
 def _scores(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> tuple[Array, Array, Array]:
@@ -130,7 +131,7 @@ def sample_scores(
     return value[:, : block.count], slopes[:, :, : block.count]
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "metric"))
+@kept("layout", "metric")
 def _sample_scores(
     layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays
 ) -> tuple[Array, Array]:
@@ -164,7 +165,7 @@ def scan_sums(
     return ScanSums(*(np.asarray(part)[:scans] for part in found))
 
 
-@functools.partial(jax.jit, static_argnames=("layout", "metric", "scans"))
+@kept("layout", "metric", "scans")
 def _scan_sums(
     layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays, label: Array, chunks: Array,
     scans: int,

@@ -67,10 +67,20 @@ def to_radians(
                 cause="the angles are in degrees" if in_degrees else "a wrong column or unit",
                 remedy=f"declare the column as {role}_{'deg' if in_degrees else 'rad'} or mend the value",
             )  # fmt: skip
-        turned[role] = np.deg2rad(angle) if degrees else angle
+        turned[role] = _radians(angle) if degrees else angle
         if finite[role] is not angle:
             turned[role] = np.where(np.isfinite(angle), turned[role], np.nan)
     _refuse_radians(source, finite, units, names)
+    return turned
+
+
+def _radians(degrees: FloatArray) -> FloatArray:
+    turned = np.empty_like(degrees)
+
+    def turn(part: slice) -> None:
+        np.deg2rad(degrees[part], out=turned[part])
+
+    in_parts(turn, len(turned))
     return turned
 
 
@@ -142,12 +152,8 @@ def from_angles(source: Source, angles: Mapping[str, FloatArray], convention: st
     turns = _varies(phi_i)
     systems: dict[str, tuple[FloatArray, ...]] = {}
     if not folded:
-        systems = {
-            "spherical_isotropic": (theta_i, theta_o, phi_o - phi_i),
-            "spherical": (theta_i, phi_i, theta_o, phi_o),
-        }
-        if turns:
-            del systems["spherical_isotropic"]
+        systems = {} if turns else {"spherical_isotropic": (theta_i, theta_o, phi_o - phi_i)}
+        systems["spherical"] = (theta_i, phi_i, theta_o, phi_o)
     wi = _snap(directions.vector_from_spherical(theta_i, phi_i))
     wo = _snap(directions.vector_from_spherical(theta_o, phi_o))
     return Geometry(wi, wo, convention, tuple(notes), systems, not turns)

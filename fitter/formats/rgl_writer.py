@@ -8,7 +8,8 @@ wrongly, sample by sample.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,39 @@ FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 
+#: What is written: (wi, wo), each (M, 3) -> f_r (M, C), and (M,) where it was not measured.
+Evaluate = Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]]
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """A GGX distribution of normals with roughness ``along`` the azimuth psi and ``across`` it."""
+
+    along: float
+    across: float
+    psi: float = 0.0
+
+    @property
+    def anisotropic(self) -> bool:
+        return self.along != self.across
+
+    def density(self, m: FloatArray) -> FloatArray:
+        """D of normals (..., 3), 1/sr."""
+        x, y = self._turned(m)
+        square = (x / self.along) ** 2 + (y / self.across) ** 2 + m[..., 2] ** 2
+        return 1.0 / (np.pi * self.along * self.across * square**2)
+
+    def projected_area(self, w: FloatArray) -> FloatArray:
+        """Area of the microfacets seen from directions (..., 3), per area of the surface."""
+        x, y = self._turned(w)
+        z = w[..., 2]
+        return 0.5 * (z + np.sqrt((self.along * x) ** 2 + (self.across * y) ** 2 + z * z))
+
+    def _turned(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        c, s = np.cos(self.psi), np.sin(self.psi)
+        return c * w[..., 0] + s * w[..., 1], c * w[..., 1] - s * w[..., 0]
+
+
 #: A field this program adds: 0 for samples that were not measured. Other readers look only for their own.
 MEASURED = "measured"
 #: Nodes of the distributions on each axis, as in the database.
@@ -39,7 +73,7 @@ _ISOTROPIC, _ANISOTROPIC, _AZIMUTHS = (40, np.deg2rad(7.0)), (10, np.deg2rad(15.
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
 #: Widths of the narrowest distribution: a mirror's samples would lie within the rounding of float32; and with
 #: few about the mirror direction, where the mapping is steepest, smooth tables would be off there.
-_NARROWEST, _WIDEST = 0.005, 0.2
+NARROWEST, _WIDEST = 0.005, 0.2
 #: So many of the table's samples are compared with what the file says of them.
 _COMPARED = 4000
 
@@ -57,8 +91,10 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
-    bare = _parameterisation(*_incidences(table, wi), alpha)
-    data, measured, above = _sampled(table, bare)
+    theta_i, phi_i = _incidences(table, wi)
+    steps = next(steps for most, steps in _STEPS if theta_i.size * phi_i.size <= most)
+    bare = parameterisation(theta_i, phi_i, Lobe(alpha, alpha), steps)
+    data, measured, above = sampled(table.evaluate, len(table.channels), bare)
     if not measured.any():
         raise unwritable(
             table, "the table has too few directions for each incidence to interpolate between them",
@@ -66,7 +102,9 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
         )  # fmt: skip
     adaptive = Adaptive(bare.theta_i, bare.phi_i, bare.ndf, bare.sigma, bare.vndf, data[:, order])
     losses.append(Loss("resampled", _resampled(table, adaptive, order, measured, above)))
-    write_aside(path, tensor_bytes(_fields(table, adaptive, order, measured, above)))
+    write_aside(
+        path, tensor_bytes(fields(table.metadata.name, table.channels, adaptive, order, measured, above))
+    )
     return losses
 
 
@@ -89,7 +127,7 @@ def lobe_width(wi: FloatArray, wo: FloatArray, level: FloatArray) -> float:
     u = (used[peak + int(below[0])] + 0.5) / _NODES
     half = np.tan(min(u * u, 0.99) * np.pi / 2)
     # D ~ 1 / (cos^4 (alpha^2 + tan^2)^2) is half its height where tan^2 is about (sqrt(2) - 1) alpha^2.
-    return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), _NARROWEST, _WIDEST))
+    return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), NARROWEST, _WIDEST))
 
 
 def _channels(table: Table) -> tuple[list[int], list[Loss]]:
@@ -133,31 +171,37 @@ def _nodes(own: FloatArray, most: int, widest: float) -> FloatArray:
     return np.unique(np.concatenate([*between, nodes[-1:]]).astype(np.float32)).astype(np.float64)
 
 
-def _parameterisation(theta_i: FloatArray, phi_i: FloatArray, alpha: float) -> Adaptive:
-    """Where the samples lie, without their values; everything rounded to float32, as the file holds it."""
+def parameterisation(theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: int) -> Adaptive:
+    """Where the samples lie, without their values: for incident angles (T,) and azimuths (P,), ``steps``
+    samples on each axis, about a lobe. All rounded to float32, as the file holds it."""
     u = np.linspace(0.0, 1.0, _NODES)
     theta = u * u * (np.pi / 2)
-    c, s = np.cos(theta), np.sin(theta)
+    # One row does where no azimuth differs; the format wants two.
+    azimuth = np.linspace(-np.pi, np.pi, _NODES) if lobe.anisotropic else np.zeros(1)
+    m = directions.vector_from_spherical(theta, azimuth[:, None])
     # From the lobe's width to that of a hemisphere of facets: the diffuse part needs samples too.
-    widths = [alpha, np.sqrt(alpha), 1.0]
-    ndf = np.mean([a**2 / (np.pi * (c * c * (a**2 - 1) + 1) ** 2) for a in widths], axis=0)
+    widths = [lobe, Lobe(lobe.along**0.5, lobe.across**0.5, lobe.psi), Lobe(1.0, 1.0)]
+    ndf = np.mean([one.density(m) for one in widths], axis=0)
     # The projected area of the visible microfacets is cos / G1 with Smith's masking.
-    sigma = np.mean([0.5 * (c + np.sqrt(a**2 * s * s + c * c)) for a in widths], axis=0)
+    sigma = np.mean([one.projected_area(m) for one in widths], axis=0)
     phi, incidence = np.meshgrid(phi_i, theta_i, indexing="ij")
-    across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))[:, :, None] * s
-    theta = incidence.reshape(-1, 1, 1)
+    c, s = np.cos(theta), np.sin(theta)
+    across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))
+    tilt = incidence.reshape(-1, 1, 1)
     # wi . m on (incidence, phi_m, theta_m); the density of m over u has the Jacobian u sin(theta).
-    vndf = ndf * np.maximum(np.sin(theta) * across + np.cos(theta) * c, 0.0) * u * s
+    vndf = ndf * np.maximum(np.sin(tilt) * across[:, :, None] * s + np.cos(tilt) * c, 0.0) * u * s
     vndf /= vndf.mean(axis=(1, 2), keepdims=True)
-    both = [np.tile(row, (2, 1)).astype(np.float32) for row in (ndf, sigma)]
-    steps = next(steps for most, steps in _STEPS if incidence.size <= most)
+    both = [np.tile(rows, (1 if lobe.anisotropic else 2, 1)).astype(np.float32) for rows in (ndf, sigma)]
     empty = np.zeros((incidence.size, 1, steps, steps), np.float32)
     return Adaptive(theta_i, phi_i, both[0], both[1], vndf.astype(np.float32), empty)
 
 
-def _sampled(table: Table, bare: Adaptive) -> tuple[Float32Array, BoolArray, BoolArray]:
-    """Data (P T, C, N, N), and (P T, N N) which samples were measured and which lie above the horizon."""
-    steps, channels = bare.data.shape[-1], len(table.channels)
+def sampled(evaluate: Evaluate, channels: int, bare: Adaptive) -> tuple[Float32Array, BoolArray, BoolArray]:
+    """Data (P T, C, N, N), and (P T, N N) which samples were measured and which lie above the horizon.
+
+    evaluate : (wi, wo), each (M, 3) -> f_r (M, C) in 1/sr, and (M,) where it was not measured.
+    """
+    steps = bare.data.shape[-1]
     data = np.zeros((len(bare.vndf), channels, steps, steps), np.float32)
     measured = np.zeros((len(data), steps * steps), bool)
     above = np.zeros_like(measured)
@@ -166,7 +210,7 @@ def _sampled(table: Table, bare: Adaptive) -> tuple[Float32Array, BoolArray, Boo
         above[node] = wo[:, 2] > 0
         # Below the horizon f cos goes on with the other sign, so that it is 0 on it, and not only near it.
         mirrored = np.concatenate([wo[:, :2], np.abs(wo[:, 2:])], axis=1)
-        value, outside = table.evaluate(np.broadcast_to(wi, wo.shape), mirrored)
+        value, outside = evaluate(np.broadcast_to(wi, wo.shape), mirrored)
         value = np.where(np.isfinite(value), value, 0.0) * (wo[:, 2:] / factor[:, None])
         limit = float(np.finfo(np.float32).max)
         data[node] = np.clip(value, -limit, limit).T.reshape(data.shape[1:])
@@ -194,17 +238,19 @@ def _resampled(
     )
 
 
-def _fields(
-    table: Table, adaptive: Adaptive, order: Sequence[int], measured: BoolArray, above: BoolArray
-) -> dict[str, NDArray[Any]]:
+def fields(
+    name: str, channels: Sequence[Channel], adaptive: Adaptive, order: Sequence[int], measured: BoolArray,
+    above: BoolArray,
+) -> dict[str, NDArray[Any]]:  # fmt: skip
+    """The file's fields; ``order`` : which channel of the source each of the file's is."""
     shape, image = (len(adaptive.phi_i), len(adaptive.theta_i)), adaptive.data.shape[-2:]
-    chosen: list[Channel] = [table.channels[k] for k in order]
+    chosen: list[Channel] = [channels[k] for k in order]
     spectral = all(channel.wavelength_nm is not None for channel in chosen) and len(set(order)) == len(order)
     weights = np.full(len(order), 1 / len(order)) if spectral else np.array(_LUMINANCE)
     # A renderer scales it to unit integral: it can't be 0 everywhere.
     luminance = np.maximum(np.einsum("c,tcyx->tyx", weights, adaptive.data), 0.0)
     luminance += np.maximum(1e-6 * luminance.max(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
-    text = one_line(table.metadata.name) or "without a name"
+    text = one_line(name) or "without a name"
     fields: dict[str, NDArray[Any]] = {
         "version": np.array([1, 0], np.uint32),
         "description": np.frombuffer(text.encode(), np.uint8),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import stat
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -56,6 +57,8 @@ class Source:
                 f"can't read a table from {type(given).__name__}", code="file-unreadable",
                 remedy="give a path, bytes, an open binary file or a data frame",
             )  # fmt: skip
+        #: What tells that a file is still the one that was opened.
+        self._state: tuple[int, ...] = ()
         self.head, self.size = self._open()
 
     def _open(self) -> tuple[bytes, int]:
@@ -65,6 +68,7 @@ class Source:
             with self._path.open("rb") as file:
                 state = os.fstat(file.fileno())
                 if stat.S_ISREG(state.st_mode):
+                    self._state = _told_by(state)
                     return file.read(HEAD), state.st_size
                 # A pipe has no size and can be read only once.
                 self._path, self._bytes = None, file.read()
@@ -95,22 +99,61 @@ class Source:
         """All bytes; a copy only where they come from a path."""
         return self._bytes if self._path is None else bytes(self.buffer)
 
+    def part(self, start: int, stop: int) -> memoryview:
+        """The bytes from ``start`` to ``stop``: of a large file read now, so that not all need be in memory.
+
+        Reading them twice is quicker than touching so much fresh memory once. :meth:`release` tells whether
+        the file was the same all the time.
+        """
+        if not self._apart:
+            return self.buffer[start:stop]
+        assert self._path is not None
+        try:
+            return np.fromfile(self._path, np.uint8, max(0, stop - start), offset=start).data
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    @property
+    def _apart(self) -> bool:
+        """Whether the bytes are those of a large file that is not in memory."""
+        return self._path is not None and self.size > _LARGE and "buffer" not in self.__dict__
+
     @cached_property
     def ends_in_newline(self) -> bool:
         """Whether the last line is ended; a text cut in the middle of a number is not."""
-        return bytes(self.buffer[-1:]) in (b"\n", b"\r")
+        return bytes(self.part(max(0, self.size - 1), self.size)) in (b"\n", b"\r")
 
     def release(self) -> None:
-        """Let go of the bytes of a large file; they are read again if they are needed again."""
-        if self._path is not None and self.size > _LARGE:
-            _ = self.ends_in_newline  # said of the bytes that were read, as is the digest
-            self.begin_digest()
-            for name in ("buffer", "data", "lines"):
-                self.__dict__.pop(name, None)
+        """Let go of the bytes of a large file; they are read again if they are needed again.
+
+        Raises TableError where the file has changed since it was opened.
+        """
+        if self._path is None or self.size <= _LARGE:
+            return
+        _ = self.ends_in_newline  # said of the bytes that were read, as is the digest
+        if self._apart:
+            self.digest = self.sha256
+            self._refuse_change(self._path)
+        self.begin_digest()
+        for name in ("buffer", "data", "lines"):
+            self.__dict__.pop(name, None)
+
+    def _refuse_change(self, path: Path) -> None:
+        try:
+            state = _told_by(path.stat())
+        except OSError as error:
+            raise self._unreadable(error) from error
+        if state != self._state:
+            raise self.error(
+                "the file changed while it was read", "file-changed", cause="something else is writing it",
+                remedy="load it again when that is done",
+            )  # fmt: skip
 
     @cached_property
     def digest(self) -> str | Digest:
         """sha256 of all bytes, for :class:`fitter.table.Metadata`; that of a large file is yet to come."""
+        if self._path is not None and self._apart:
+            return Digest(partial(_file_digest, self._path))
         return digest_of(self.buffer)
 
     def begin_digest(self) -> None:
@@ -179,6 +222,15 @@ class Source:
         """An error for what holds no BRDF but what ``holds`` says; ``contents`` may tell more of it."""
         contents: dict[str, Any] = {"holds": holds, **keywords.pop("contents", {})}
         return NoTable(message, code=code, file=self.name, contents=contents, **keywords)
+
+
+def _told_by(state: os.stat_result) -> tuple[int, ...]:
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns
+
+
+def _file_digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _row_of(before: bytes) -> int:

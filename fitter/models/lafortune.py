@@ -72,7 +72,7 @@ class Lafortune(SeparableModel):
         else:
             products = (p.ix * p.ox + p.iy * p.oy, normal)
         lobes = [
-            cosine_lobe(_coefficients(spec, nonlinear, s), nonlinear[f"n{s}"], products)
+            cosine_lobe(lobe_coefficients(spec, nonlinear, s), nonlinear[f"n{s}"], products)
             for s in lobe_suffixes(spec)
         ]
         return masked_terms(spec, above, lobes)
@@ -81,7 +81,7 @@ class Lafortune(SeparableModel):
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
         found: list[tuple[Lobe, Array]] = []
         for s in lobe_suffixes(spec):
-            c = _coefficients(spec, values, s)
+            c = lobe_coefficients(spec, values, s)
             cx, cy, cz = c if spec.anisotropic else (c[0], *c)
             psi = values["psi"] if spec.anisotropic else jnp.zeros_like(cx)
             per_channel = jnp.broadcast_arrays(
@@ -106,7 +106,7 @@ def lobe_suffixes(spec: ModelSpec) -> tuple[str, ...]:
     return ("",) if spec.lobes == 1 else tuple(f"_{k + 1}" for k in range(spec.lobes))
 
 
-def _coefficients(spec: ModelSpec, values: Mapping[str, Array], suffix: str) -> tuple[Array, ...]:
+def lobe_coefficients(spec: ModelSpec, values: Mapping[str, Array], suffix: str) -> tuple[Array, ...]:
     """C over the largest of its magnitudes: (Cxy, Cz), or (Cx, Cy, Cz) where anisotropic.
 
     Quotients written out (tan gamma and so on), the largest as a sign: the slope of one magnitude over

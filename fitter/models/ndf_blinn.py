@@ -43,20 +43,24 @@ class Blinn(NamedTuple):
         root = jnp.exp(-0.25 * self.n * jnp.log1p(h.tan2))
         return root * (root * ((self.n + 2.0) / (2 * math.pi)) * times)
 
+    def lambda_series(self) -> tuple[Array, Array]:
+        """Where Lambda z ends, in z, and the Chebyshev terms of C M up to there.
+
+        Beyond sin^(n+2) = exp(-40) it is below the rounding of z + Lambda z.
+        """
+        end = jnp.sqrt(-jnp.expm1(-80.0 / (self.n + 2.0)))
+        nodes = 0.5 * end * (1.0 + chebyshev.nodes(_TERMS, self.n))
+        return end, self._one_slope() * chebyshev.coefficients(self._mills(nodes))
+
     def lambda_cos(self, x: Array, y: Array, z: Array) -> Array:
-        """Beyond sin^(n+2) = exp(-40) it is below the rounding of z + Lambda z."""
         del x, y
         m = self.n + 2.0
-        end = jnp.sqrt(-jnp.expm1(-80.0 / m))
-        nodes = 0.5 * end * (1.0 + chebyshev.nodes(_TERMS, self.n))
-        terms = chebyshev.coefficients(self._mills(nodes))
+        end, terms = self.lambda_series()
         inside = z < jnp.minimum(end, 1.0 - float(jnp.finfo(z.dtype).eps))
         z = jnp.where(inside, z, 0.0)
         # Where it counts z is small and sin^(n+2) follows from it with more digits than from x and y.
         power = jnp.exp(0.5 * m * jnp.log1p(-z * z))
-        return jnp.where(
-            inside, self._one_slope() * power * chebyshev.series(terms, 2.0 * z / end - 1.0), 0.0
-        )
+        return jnp.where(inside, power * chebyshev.series(terms, 2.0 * z / end - 1.0), 0.0)
 
     def _mills(self, z: Array) -> Array:
         """M(z), (K, ...), by r = exp(-t/(n + 1))."""

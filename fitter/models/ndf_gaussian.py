@@ -61,10 +61,14 @@ class Gaussian(NamedTuple):
     def _reach(self) -> Array:
         return jnp.minimum(0.5 * math.pi, _REACH * self.s)
 
-    def lambda_cos(self, x: Array, y: Array, z: Array) -> Array:
+    def lambda_series(self) -> tuple[Array, Array]:
+        """Where Lambda cos ends, an elevation, and its Chebyshev terms up to there."""
         end = self._reach()
         nodes = 0.5 * end * (1.0 + chebyshev.nodes(_TERMS, self.s))
-        terms = chebyshev.coefficients(self._hidden(nodes))
+        return end, chebyshev.coefficients(self._hidden(nodes))
+
+    def lambda_cos(self, x: Array, y: Array, z: Array) -> Array:
+        end, terms = self.lambda_series()
         sine2 = x * x + y * y
         # No slope at the normal, where the root has an infinite one.
         sine = jnp.sqrt(jnp.maximum(sine2, float(jnp.finfo(sine2.dtype).tiny)))

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from fitter import directions
 from fitter.sampling.axes import Axis, axes_of, corners
@@ -78,6 +77,8 @@ class GridInterpolant:
     @cached_property
     def _nearest(self) -> NDArray[np.int32]:
         """(N,) the nearest usable node of each, in steps of the grid."""
+        from scipy import ndimage  # a fit needs none of it
+
         found = ndimage.distance_transform_edt(
             ~self.mask.reshape(self.grid.shape), return_distances=False, return_indices=True
         )

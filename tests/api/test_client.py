@@ -49,7 +49,14 @@ def test_main_path(service: Client, file: Path) -> None:
     assert service.evaluate("tables", table.id, wi, wo)["value"].shape == (2, 3)
     with file.open("rb") as opened:  # an open file is streamed, bytes are sent
         assert service.upload(opened).sha256 == service.upload(file.read_bytes()).sha256
+    again = service.read_again(table.id, quantity="ccbrdf", name="divided")
+    assert (again.sha256, again.name) == (table.sha256, "divided")
+    assert again.options == {**table.options, "quantity": "ccbrdf", "name": "divided"}
+    assert again.description["quantity"] == "ccbrdf"
+    with pytest.raises(Refused, match="item"):
+        service.read_again(table.id, item="7")
     service.delete_table(table.id)
+    assert service.check(again.id)["samples"] == 252
     with pytest.raises(Refused) as gone:
         service.table(table.id)
     assert (gone.value.status, gone.value.code) == (404, "not-found")

@@ -33,9 +33,9 @@ def test_tags_are_compared(header: str, same: bool) -> None:
 
 def test_a_small_fit_is_waited_for(client: Any, table: str, wait: Any) -> None:
     wanted = {"table": table, "model": "oren_nayar"}
-    answer = client.post("/v1/fits", json=wanted, headers={"prefer": "respond-async; x=1, wait=50"})
+    answer = client.post("/v1/fits", json=wanted, headers={"prefer": "respond-async; x=1, wait=60"})
     assert answer.status_code == 200
-    assert answer.headers["preference-applied"] == "wait=50"
+    assert answer.headers["preference-applied"] == "wait=60"
     assert answer.json()["state"] == "done"
     assert client.get(answer.headers["location"]).json() == answer.json()
     at_once = client.post("/v1/fits", json=wanted, headers={"prefer": "wait=0"})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import socket
 import struct
 import time
@@ -108,6 +109,18 @@ def test_names_in_archives_are_only_names(strict: Any, tmp_path: Path) -> None:
     assert answer.status_code == 201
     assert answer.json()["name"].isprintable()
     assert "set-cookie" not in answer.headers
+
+
+def test_names_do_not_break_out_of_headers(strict: Any) -> None:
+    for name in ('a"; filename="b.exe', "a\\b/c", "\u202eexe.\u00e9", "..", "a;b,c"):
+        table = strict.post("/v1/tables", content=small_table(), params={"name": name}).json()["id"]
+        answer = strict.get(f"/v1/tables/{table}/export/openexr")
+        assert answer.status_code == 200
+        said = answer.headers["content-disposition"]
+        assert re.fullmatch(r'attachment; filename="[A-Za-z0-9_-][A-Za-z0-9_.-]*\.exr"', said), said
+    links = strict.get("/v1/jobs?x=%0d%0aSet-Cookie:%20a%3e;%20rel%3d%22&limit=1").headers
+    assert "set-cookie" not in links
+    assert links["link"].count("rel=") == links["link"].count(">;")
 
 
 def test_a_reader_that_needs_too_much_memory_is_stopped(tmp_path: Path) -> None:

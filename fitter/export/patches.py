@@ -1,0 +1,116 @@
+"""Averages of a subject over patches of both hemispheres, and Radiance's tools that make BSDF XML of them.
+
+The frame of such a file is Radiance's: what is exported is the side of +z, "Reflection Back" in the file (its
+front is the outside). The incident direction of a patch is that of the light's travel.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter._version import __version__
+from fitter.errors import FitError, SpecError
+from fitter.export.fidelity import compared_pairs
+from fitter.export.subject import Subject
+from fitter.formats.output import one_line, write_aside
+from fitter.formats.registry import Loss
+
+FloatArray = NDArray[np.float64]
+#: Coordinates of points in pairs of patches, each even in [0, 1): (M, 2) incident, (M, 2) outgoing -> wi, wo.
+Place = Callable[[NDArray[np.intp], FloatArray], tuple[FloatArray, FloatArray]]
+
+_CHUNK = 1 << 19
+
+
+def radiance() -> Any:
+    """Radiance's tools, from the wheel pyradiance. Raises SpecError where it is not installed."""
+    try:
+        return importlib.import_module("pyradiance")
+    except ImportError as error:
+        raise SpecError(
+            "this export is made by Radiance's own tools, and pyradiance is not installed",
+            code="export-needs-package", parameter="to", remedy="pip install brdf-fitter[renderers]",
+        ) from error  # fmt: skip
+
+
+def averages(subject: Subject, shape: tuple[int, ...], place: Place, points: int) -> tuple[FloatArray, Loss]:
+    """Mean f_r of the one channel over each pair of patches, in the given shape, and what was not measured.
+
+    ``points`` pairs of directions a patch, the same of Sobol's sequence in each.
+    """
+    qmc: Any = importlib.import_module("scipy.stats.qmc")
+    inner = qmc.Sobol(4, scramble=True, seed=1).random(points)
+    count = int(np.prod(shape))
+    mean, outside, asked, negative = np.zeros(count), 0, 0, 0
+    step = max(1, _CHUNK // points)
+    for start in range(0, count, step):
+        index = np.arange(start, min(start + step, count))
+        wi, wo = place(np.repeat(index, points), np.tile(inner, (len(index), 1)))
+        above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+        value = np.zeros(len(wi))
+        found, beyond = subject.evaluate(wi[above], wo[above])
+        value[above] = np.where(np.isfinite(found[:, 0]), np.maximum(found[:, 0], 0.0), 0.0)
+        outside, asked = outside + int(beyond.sum()), asked + len(found)
+        negative += int((found[:, 0] < 0).sum())
+        mean[index] = value.reshape(len(index), points).mean(axis=1)
+    said = f"Patches are averages over {points} pairs of directions each"
+    if outside:
+        said += f"; {outside / asked:.1%} of them lie outside what was measured, where the nearest is taken"
+    if negative:
+        said += f"; {negative / asked:.2%} were negative and count as 0"
+    return mean.reshape(shape), Loss("not-covered" if outside else "averaged", f"{said}.")
+
+
+def wrapped(subject: Subject, path: Path, basis: str, data: bytes) -> None:
+    """The XML that Radiance's wrapBSDF makes of a component's data, written aside and renamed."""
+    tools = radiance()
+    with tempfile.TemporaryDirectory(prefix="brdf-fitter-") as folder:
+        component = Path(folder) / "component.dat"
+        component.write_bytes(data)
+        # wrapBSDF puts fields apart by ; and =.
+        name = re.sub(r"[;=\"'<>&]", " ", one_line(subject.name))[:80]
+        comment = (
+            "f_r in 1/sr, without the cosine, as averages over patches. "
+            + re.sub(r"[<>&]|--", " ", " ".join(subject.comments()))
+        )  # fmt: skip
+        wrapper = tools.WrapBSDF(
+            basis=basis, unit="meter", comment=comment, n=name, m=f"brdf-fitter {__version__}", t=0, w=0, h=0
+        )
+        made: bytes = wrapper.add_visible(rb=str(component))()
+    if not made.strip():
+        raise FitError("Radiance's wrapBSDF wrote nothing", code="radiance-failed")
+    write_aside(path, [made])
+
+
+def reciprocity(subject: Subject, path: Path) -> Loss:
+    """How far exchanging the directions changes f: of the source, and of the file as checkBSDF has it.
+
+    Raises FitError where checkBSDF does not take the file.
+    """
+    tools = radiance()
+    program = Path(str(tools.__file__)).parent / "bin" / "checkBSDF"
+    done = subprocess.run([program, path], capture_output=True, text=True, check=False)
+    after = re.search(r"Reciprocity Error.*?Refl\s+([\d.eE+-]+)\s+([\d.eE+-]+)", done.stdout, re.DOTALL)
+    if done.returncode != 0 or after is None:
+        raise FitError(
+            f"Radiance's checkBSDF does not take the file: {(done.stderr or done.stdout)[-300:]}",
+            code="radiance-failed", file=str(path),
+        )  # fmt: skip
+    wi, wo = (w[::8] for w in compared_pairs(subject))
+    one, other = subject.evaluate(wi, wo)[0][:, 0], subject.evaluate(wo, wi)[0][:, 0]
+    total = one + other
+    before = float(np.mean(2 * np.abs(one - other)[total > 0] / total[total > 0]))
+    return Loss(
+        "reciprocity",
+        f"Exchanging the directions changes the source by {before:.2%} on average, and the file by "
+        f"{float(after[2]):g} % as Radiance's checkBSDF finds.",
+    )

@@ -1,0 +1,152 @@
+"""Mitsuba 3 itself reads what is exported, and says what the library says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import fitter
+from fitter.export import subject, write
+from fitter.export.fidelity import compared_pairs
+from fitter.models import ReflectanceModel
+from tests.export.conftest import FloatArray, make
+from tests.models.statistics import chi_square_p
+
+
+@pytest.fixture(scope="module")
+def mi() -> Any:
+    mitsuba = pytest.importorskip("mitsuba", reason="NO MITSUBA: its reading of exports is not checked")
+    mitsuba.set_variant("scalar_rgb")
+    return mitsuba
+
+
+def evaluated(mi: Any, bsdf: Any, wi: FloatArray, wo: FloatArray) -> FloatArray:
+    """f_r cos(theta_o) (M, 3) as Mitsuba has it. Its wi is the viewer, which a reciprocal f_r can't tell."""
+    context, at = mi.BSDFContext(), mi.SurfaceInteraction3f()
+    found = np.empty((len(wi), 3))
+    for k, (i, o) in enumerate(zip(wi.tolist(), wo.tolist(), strict=True)):
+        at.wi = i
+        found[k] = np.asarray(bsdf.eval(context, at, o))
+    return found
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[ReflectanceModel, Path]:
+    model, path = make("torrance_sparrow"), tmp_path_factory.mktemp("rgl") / "m.bsdf"
+    write(model, "rgl", path)
+    return model, path
+
+
+# The study tests/evidence/exports.py has all families, anisotropic ones and tables.
+def test_measured_is_ours_times_the_cosine(mi: Any, painted: tuple[ReflectanceModel, Path]) -> None:
+    """At 10^4 directions, half of them from the model's own sampler."""
+    model, path = painted
+    bsdf = mi.load_dict({"type": "measured", "filename": str(path)})
+    wi, wo = compared_pairs(subject(model), 10_000)
+    ours = np.asarray(model.evaluate(wi, wo)) * wo[:, 2:]
+    change = np.abs(evaluated(mi, bsdf, wi, wo) - ours) / ours
+    assert np.quantile(change, 0.95) < 0.01
+
+
+def test_measured_of_a_table_is_its_interpolant(mi: Any, tmp_path: Path) -> None:
+    table = fitter.load(Path(__file__).resolve().parents[2] / "data" / "tables" / "diffuse_plaster.csv")
+    write(table, "rgl", tmp_path / "m.bsdf")
+    bsdf = mi.load_dict({"type": "measured", "filename": str(tmp_path / "m.bsdf")})
+    wi, wo = compared_pairs(subject(table), 10_000)
+    change = np.abs(evaluated(mi, bsdf, wi, wo) / wo[:, 2:] - table.evaluate(wi, wo)[0])
+    assert np.quantile(change / table.evaluate(wi, wo)[0], 0.95) < 0.02
+
+
+def _edges() -> tuple[FloatArray, FloatArray]:
+    return np.linspace(0, np.pi / 2, 9), np.linspace(-np.pi, np.pi, 13)
+
+
+def _chance(mi: Any, bsdf: Any, wi: FloatArray, count: int) -> tuple[float, FloatArray]:
+    """p of the chi-square test of ``sample`` against ``pdf``, and the mean weight."""
+    context, at = mi.BSDFContext(), mi.SurfaceInteraction3f()
+    at.wi = wi.tolist()
+    rng = np.random.default_rng(3)
+    wo, weight = np.zeros((count, 3)), np.zeros((count, 3))
+    for k, u in enumerate(rng.random((count, 3)).tolist()):
+        drawn, value = bsdf.sample(context, at, u[0], u[1:])
+        wo[k], weight[k] = drawn.wo, value
+        if k % 100 == 0 and drawn.pdf > 0:
+            assert bsdf.pdf(context, at, drawn.wo) == pytest.approx(drawn.pdf, rel=1e-5)
+            value_there = np.array(bsdf.eval(context, at, drawn.wo)) / drawn.pdf
+            np.testing.assert_allclose(value, value_there, rtol=1e-4)
+    kept = wo[:, 2] > 0
+    theta, phi = np.arccos(wo[kept, 2]), np.arctan2(wo[kept, 1], wo[kept, 0])
+    found = np.histogram2d(theta, phi, _edges())[0]
+    x, w = np.polynomial.legendre.leggauss(4)
+    nodes = [
+        (a[:-1, None] + 0.5 * np.diff(a)[:, None] * (1 + x), 0.5 * np.diff(a)[:, None] * w) for a in _edges()
+    ]
+    expected = np.zeros_like(found)
+    for i, (thetas, w_theta) in enumerate(zip(*nodes[0], strict=True)):
+        for j, (phis, w_phi) in enumerate(zip(*nodes[1], strict=True)):
+            for theta, a in zip(thetas, w_theta, strict=True):
+                for phi, b in zip(phis, w_phi, strict=True):
+                    s = np.sin(theta)
+                    direction = [s * np.cos(phi), s * np.sin(phi), np.cos(theta)]
+                    expected[i, j] += count * a * b * s * bsdf.pdf(context, at, direction)
+    return chi_square_p(found.reshape(-1), expected.reshape(-1)), weight.mean(axis=0)
+
+
+def test_the_plugin_draws_the_model(mi: Any, tmp_path: Path) -> None:
+    import fitter.export.mitsuba as plugin
+
+    model = make("torrance_sparrow")
+    write(model, "json", tmp_path / "m.json")
+    bsdf = mi.load_dict({"type": plugin.MODEL, "filename": str(tmp_path / "m.json")})
+    wi, wo = (w[:200] for w in compared_pairs(subject(model), 1000))
+    ours = np.asarray(model.evaluate(wi, wo)) * wo[:, 2:]
+    np.testing.assert_allclose(evaluated(mi, bsdf, wi, wo), ours, rtol=2e-5)
+    light = np.array([0.6, 0.0, 0.8])
+    chance, weight = _chance(mi, bsdf, light, 10_000)
+    assert chance > 1e-3
+    np.testing.assert_allclose(weight, model.albedo(light), rtol=0.05)
+
+
+def test_the_plugin_draws_the_table(mi: Any) -> None:
+    import fitter.export.mitsuba as plugin
+
+    path = Path(__file__).resolve().parents[2] / "data" / "tables" / "diffuse_plaster.csv"
+    bsdf = mi.load_dict({"type": plugin.TABLE, "filename": str(path)})
+    table = fitter.load(path)
+    wi, wo = (w[::80] for w in compared_pairs(subject(table), 4000))
+    ours = table.evaluate(wi, wo)[0]
+    # As Mitsuba asks: the first direction is the viewer's.
+    theirs = evaluated(mi, bsdf, wo, wi) / wi[:, 2:]
+    np.testing.assert_allclose(theirs[:, : ours.shape[1]], ours, rtol=2e-5)
+    chance, _ = _chance(mi, bsdf, np.array([0.5, 0.0, 0.75**0.5]), 600)
+    assert chance > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["plugin", "measured"])
+def test_a_picture_shows_the_albedo(
+    mi: Any, kind: str, painted: tuple[ReflectanceModel, Path], tmp_path: Path
+) -> None:
+    """A plane under an even sky, seen along one direction: every pixel estimates the same albedo."""
+    import fitter.export.mitsuba as plugin
+
+    model, path = painted
+    bsdf = {"type": "measured", "filename": str(path)}
+    if kind == "plugin":
+        write(model, "json", tmp_path / "m")
+        bsdf = {"type": plugin.MODEL, "filename": str(tmp_path / "m")}
+    view = mi.ScalarTransform4f().look_at([1, 0, 1], [0, 0, 0], [0, 1, 0]).scale([0.1, 0.1, 1])
+    film = {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}}
+    scene = {
+        "type": "scene", "integrator": {"type": "path", "max_depth": 2}, "emitter": {"type": "constant"},
+        "sensor": {"type": "orthographic", "to_world": view, "film": film},
+        "shape": {"type": "rectangle", "bsdf": bsdf},
+    }  # fmt: skip
+    picture = np.array(mi.render(mi.load_dict(scene), spp=64, seed=1)).reshape(-1, 3)
+    expected = np.asarray(model.albedo([0.5**0.5, 0.0, 0.5**0.5]))
+    z = (picture - expected) / picture.std(axis=0, ddof=1)
+    assert np.abs(z.mean(axis=0) * np.sqrt(len(z))).max() < 3.5
+    assert stats.kstest(z[:, 1], "norm").pvalue > 1e-3

@@ -1,0 +1,91 @@
+"""Models as tables: what a file says is the model as closely as it claims, and what it can't hold is said."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fitter
+from fitter import models
+from fitter.compression import compress
+from fitter.errors import FitterError, SpecError
+from fitter.export import subject, target, write
+from fitter.export.fidelity import compared_pairs
+from fitter.export.subject import only
+from tests.export.conftest import make
+
+#: Of each format the 95 % quantile of the relative difference from "torrance_sparrow" (alpha 0.15), and what
+#: part of the compared directions the file may leave out.
+STATED = {
+    "merl": (0.01, 0.0), "openexr": (0.03, 0.0), "zemax": (0.05, 0.05), "pab-opto": (0.1, 0.06),
+    "mbsdf": (0.01, 0.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_a_models_table_is_the_model(name: str, tmp_path: Path) -> None:
+    entry = target(name)
+    path = tmp_path / f"m{entry.suffix}"
+    channels = ["G"] if entry.channels == (1,) else None
+    model = make("torrance_sparrow")
+    told = write(model, name, path, channels=channels)
+    back = fitter.load(path)
+    # A model of fewer channels draws otherwise: its sampler goes by the light in all of them.
+    source = subject(model) if channels is None else only(subject(model), channels)
+    wi, wo = compared_pairs(source)
+    theirs, outside = back.evaluate(wi, wo)
+    ours, _ = source.evaluate(wi, wo)
+    inside = ~outside
+    most, missing = STATED[name]
+    change = np.abs(theirs - ours)[inside] / ours[inside]
+    assert np.quantile(change, 0.95) < most
+    assert outside.mean() <= missing
+    (note,) = [note.message for note in told.notes if note.code == "fidelity"]
+    stated = re.search(r"by ([\d.]+)% at most", note)
+    assert stated is not None
+    assert float(stated[1]) / 100 == pytest.approx(np.quantile(change, 0.95), abs=1e-4)
+
+
+def test_a_lobe_narrower_than_the_format_is_flagged_with_the_number(tmp_path: Path) -> None:
+    sharp = models.create("ward", channels=("R", "G", "B"), alpha=0.002, ks=0.5)
+    told = write(sharp, "openexr", tmp_path / "m.exr")
+    (note,) = [note for note in told.notes if note.code == "too-coarse"]
+    assert re.search(r"by [\d.]+% at most", note.message)
+    assert "too coarse" in note.message
+
+
+def test_anisotropic_models_are_refused_where_a_format_is_isotropic(tmp_path: Path) -> None:
+    brushed = make("ward:bounded:anisotropic")
+    for name in ("merl", "mbsdf", "zemax", "pab-opto"):
+        with pytest.raises(SpecError, match="anisotropic"):
+            write(brushed, name, tmp_path / "m", channels=["R"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_say_what_was_not_covered(tmp_path: Path) -> None:
+    paint = fitter.load(Path(__file__).resolve().parents[2] / "data" / "tables" / "glossy_paint.csv")
+    for source in (paint, compress(paint, 0.01)):
+        told = write(source, "openexr", tmp_path / "m.exr")
+        assert "outside what was measured" in " ".join(note.message for note in told.notes)
+    theta = np.deg2rad(np.linspace(-80, 80, 33))
+    plane = fitter.Table(
+        wi=np.tile([0.5, 0.0, 0.75**0.5], (33, 1)), value=np.full((33, 3), 0.2),
+        wo=np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=1),
+    )  # fmt: skip
+    for name in ("merl", "rgl", "openexr"):
+        with pytest.raises(FitterError, match="plane of incidence"):
+            write(plane, name, tmp_path / f"plane{name}")
+    assert [path.name for path in tmp_path.iterdir()] == ["m.exr"]
+
+
+def test_channels_are_chosen_and_counted(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="holds 1, or X, Y, Z channels and this has 3"):
+        write(make("ward"), "zemax", tmp_path / "m.bsdf")
+    with pytest.raises(SpecError, match="is not there") as refused:
+        write(make("ward"), "c", tmp_path / "m.c", channels=["X"])
+    assert refused.value.remedy == "the channels are R, G, B"
+    write(make("lafortune:2"), "python", tmp_path / "m.py", channels=["B", "R"])
+    assert "CHANNELS = ('B', 'R')" in (tmp_path / "m.py").read_text()
