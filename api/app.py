@@ -10,7 +10,11 @@ from fastapi import FastAPI
 
 import fitter
 from api import openapi, pages, problems
-from api.limits import BodyLimit, Counted
+from api.conditional import Conditional
+from api.guard import Guard
+from api.idempotency import Idempotent
+from api.limits import BodyLimit
+from api.observed import Observed
 from api.routes import fits, health, jobs, models, tables, tradeoffs
 from api.service import Service
 from api.settings import Settings
@@ -38,8 +42,12 @@ def create_app(settings: Settings) -> FastAPI:
         title="brdf-fitter", version=fitter.__version__, description=_ABOUT, lifespan=lifespan, docs_url=None,
         redoc_url=None,
     )  # fmt: skip
+    # The last one is the outermost.
+    app.add_middleware(Idempotent)
     app.add_middleware(BodyLimit, settings=settings)
-    app.add_middleware(Counted)
+    app.add_middleware(Conditional)
+    app.add_middleware(Guard, settings=settings)
+    app.add_middleware(Observed)
     problems.install(app)
     for room in (tables, fits, tradeoffs, jobs, models, health):
         app.include_router(room.router)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-import threading
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,6 +13,7 @@ from typing import Self
 import zstandard
 
 from api.problems import Problem
+from api.storage import Storage
 
 #: Packing takes 2 ms for a megabyte at this level, reading back 1 ms; parsing the table takes 10 or more.
 _LEVEL = 3
@@ -76,48 +77,52 @@ class Incoming:
 
 
 class Blobs:
-    """A folder of files named by their content.
+    """Files named by their content, in a storage; what is on its way there lies in a folder of this machine.
 
-    ``lock`` guards the step from "no row names this blob" to its deletion: whoever adds a row that
-    names a blob, or drops one, holds it.
+    See :meth:`api.store.Store.guarding` before deleting one.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._kept = folder / "blobs"
+    def __init__(self, storage: Storage, folder: Path) -> None:
+        self._storage = storage
         self._aside = folder / "incoming"
-        for one in (self._kept, self._aside):
-            one.mkdir(parents=True, exist_ok=True)
-        self.lock = threading.Lock()
+        self._aside.mkdir(parents=True, exist_ok=True)
 
-    def clear_incoming(self) -> None:
-        """Delete what a dead process left half-written. Only for the folder's one owner, at start."""
-        for path in self._aside.iterdir():
-            path.unlink()
+    def clear_incoming(self, age_seconds: float) -> int:
+        """Delete what a dead process left half-written: all that is older than this. Returns how much."""
+        end = time.time() - age_seconds
+        old = [path for path in self._aside.iterdir() if path.stat().st_mtime <= end]
+        for path in old:
+            path.unlink(missing_ok=True)
+        return len(old)
 
     def incoming(self, limit: int) -> Incoming:
         """A new upload of at most ``limit`` bytes."""
         return Incoming(self._aside, limit)
 
-    def _paths(self, sha256: str) -> tuple[Path, Path]:
-        """Where the blob is (or would be) as it came, and packed."""
-        plain = self._kept / sha256[:2] / sha256
-        return plain, plain.with_name(sha256 + _PACKED)
-
     def read(self, sha256: str) -> bytes:
-        """The bytes that were uploaded."""
-        plain, packed = self._paths(sha256)
-        if packed.exists():
-            return zstandard.ZstdDecompressor().decompress(packed.read_bytes())
-        return plain.read_bytes()
+        """The bytes that were uploaded. Raises FileNotFoundError."""
+        plain, packed = _names(sha256)
+        try:
+            content = self._storage.read(packed)
+        except FileNotFoundError:
+            return self._storage.read(plain)
+        return zstandard.ZstdDecompressor().decompress(content)
+
+    def holds(self, sha256: str) -> bool:
+        return any(self._storage.holds(name) for name in _names(sha256))
 
     def keep(self, incoming: Incoming, sha256: str) -> None:
-        """Rename the finished upload into place; the same bytes again change nothing."""
-        both = self._paths(sha256)
-        if not any(path.exists() for path in both):
-            both[0].parent.mkdir(exist_ok=True)
-            incoming.path.replace(both[incoming.packed])
+        """Take the finished upload; the same bytes again change nothing."""
+        if not self.holds(sha256):
+            self._storage.take(_names(sha256)[incoming.packed], incoming.path)
 
     def drop(self, sha256: str) -> None:
         """Delete the blob, which no row may name any more."""
-        for path in self._paths(sha256):
-            path.unlink(missing_ok=True)
+        for name in _names(sha256):
+            self._storage.drop(name)
+
+
+def _names(sha256: str) -> tuple[str, str]:
+    """Where the blob is (or would be) as it came, and packed."""
+    plain = f"blobs/{sha256[:2]}/{sha256}"
+    return plain, plain + _PACKED

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow, TradeoffRow
+from api.rows import QUEUED, RUNNING, EventRow, JobRow, ModelRow, TableRow, TradeoffRow
 
 
 def when(seconds: float) -> str:
@@ -14,14 +13,10 @@ def when(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def page(items: Sequence[dict[str, Any]], total: int, limit: int, offset: int) -> dict[str, Any]:
-    """Part of a list."""
-    return {"items": list(items), "total": total, "limit": limit, "offset": offset}
-
-
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("check", "evaluate", "samples", "slices")}}
+    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
+    links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     links["export"] = f"{here}/export/{{format}}"
     return {
@@ -43,6 +38,14 @@ def job(row: JobRow) -> dict[str, Any]:
         "finished": None if row.finished is None else when(row.finished),
         "results": [_result(one) for one in row.results], "problem": row.problem, "links": links,
     }  # fmt: skip
+
+
+def job_event(row: JobRow, event: EventRow) -> dict[str, Any]:
+    """The job as it was at an event of its log."""
+    then = JobRow(id=row.id, kind=row.kind, table_id=row.table_id, request=row.request, created=row.created)
+    for name, value in event.data.items():
+        setattr(then, name, value)
+    return job(then)
 
 
 def model(row: ModelRow) -> dict[str, Any]:

@@ -1,55 +1,59 @@
-"""Jobs: threads that take waiting rows, do the work and publish what came of it."""
+"""Jobs: threads that lease waiting rows and have an engine work on them."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable
 
-from sqlalchemy.exc import OperationalError, SQLAlchemyError
-
+from api.engine import Engine, Lost
 from api.metrics import Metrics
-from api.problems import Problem, document, internal, of_fitter_error
+from api.problems import document
+from api.programs import forget_when_many
 from api.rows import JobRow
-from api.store import Store
-from api.work import Outcome, Worker
-from fitter.errors import FitterError
-from fitter.progress import Cancelled, Progress
+from api.store import Store, new_id
 
 _log = logging.getLogger("brdf_fitter.api")
 
-#: Seconds between two writes of one job's progress.
-PROGRESS_EVERY = 0.2
-#: Seconds between attempts to write how a job ended. After the last one the row stays "running", and the
-#: next start of the server queues the job again.
-RETRY_AFTER = (0.5, 2.0, 8.0)
 #: Seconds after which an idle thread looks at the queue without having been told to.
 IDLE_LOOK = 5.0
+#: Seconds between two looks whether an engine that is not ready has become so.
+ENGINE_LOOK = 0.1
 
 EXHAUSTED = document(
-    500, "job-attempts-exhausted", "the server died each time it worked on this job",
+    500, "job-attempts-exhausted", "the process that worked on this job died each time",
     cause="the job needs more memory than the machine has, or it meets a fault of a library",
     remedy="try a smaller table or another model, and report it",
 )  # fmt: skip
 
 
 class Runner:
-    """A pool of threads. The numerics release the interpreter's lock, so threads of one process do."""
+    """Leases as many jobs at a time as it has threads, renews the leases, and takes up lapsed ones."""
 
-    def __init__(self, store: Store, worker: Worker, metrics: Metrics, threads: int) -> None:
+    def __init__(
+        self, store: Store, engine: Engine, metrics: Metrics, threads: int, *, lease_seconds: float = 30.0,
+        max_attempts: int = 3, name: str | None = None,
+    ) -> None:  # fmt: skip
         self._store = store
-        self._worker = worker
+        self._engine = engine
         self._metrics = metrics
+        self._lease_seconds = lease_seconds
+        self._max_attempts = max_attempts
+        #: Under which jobs are leased.
+        self.name = name or new_id()
+        self._held: dict[str, JobRow] = {}
         self._news = threading.Condition()
         self._told = 0
         self._stopping = threading.Event()
+        self._stopped = threading.Event()
         self._threads = [
             threading.Thread(target=self._loop, name=f"job-{k}", daemon=True) for k in range(threads)
         ]
+        self._keeper = threading.Thread(target=self._keep, name="leases", daemon=True)
 
     def start(self) -> None:
-        for thread in self._threads:
+        self._engine.start()
+        for thread in (self._keeper, *self._threads):
             thread.start()
 
     def wake(self) -> None:
@@ -61,7 +65,7 @@ class Runner:
     def stop(self, grace_seconds: float) -> bool:
         """Ask all jobs to go back to the queue at their next safe point; True where all did in time.
 
-        What is still running then is a row that the next start queues again.
+        What is still running then is a row whose lease lapses.
         """
         self._stopping.set()
         with self._news:
@@ -69,13 +73,19 @@ class Runner:
         end = time.monotonic() + grace_seconds
         for thread in self._threads:
             thread.join(max(0.0, end - time.monotonic()))
+        self._stopped.set()
+        self._keeper.join()
+        self._engine.stop()
         return not any(thread.is_alive() for thread in self._threads)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
             told = self._told
+            if not self._engine.ready():
+                self._stopping.wait(ENGINE_LOOK)
+                continue
             try:
-                job = self._store.claim()
+                job = self._store.claim(self.name, self._lease_seconds)
                 if job is not None:
                     self._run(job)
                     continue
@@ -89,71 +99,38 @@ class Runner:
 
     def _run(self, job: JobRow) -> None:
         begun = time.monotonic()
+        self._held[job.id] = job
         try:
-            outcome = self._worker.run(job, self._reporter(job))
-        except Cancelled:
-            if self._stopping.is_set() and self._store.put_back(job):
-                return
-            self._store.stop(job)
-            state = "cancelled"
-        except FitterError as error:
-            state = self._failed(job, Outcome(problem=of_fitter_error(error)))
-        except Problem as error:
-            found = document(error.status_code, error.code, error.detail, **error.more)
-            state = self._failed(job, Outcome(problem=found))
-        except Exception:
-            _log.exception("job %s failed", job.id)
-            state = self._failed(job, Outcome(problem=internal()))
-        else:
-            state = self._finish(job, outcome)
-        self._worker.forget(job)
-        self._metrics.job(job.kind, state, time.monotonic() - begun)
+            ended = self._engine.run(job, self._stopping)
+        except Lost as error:
+            _log.warning("job %s, attempt %d was lost: %s", job.id, job.attempt, error)
+            if error.blame:
+                self._store.give_back(job, self._max_attempts, EXHAUSTED)
+            else:
+                self._store.put_back(job)
+            ended = "lost"
+        finally:
+            # Before the lease is given up: from here on nobody renews it.
+            del self._held[job.id]
+        if ended not in ("queued", "overtaken"):
+            self._tell(job, ended, time.monotonic() - begun)
 
-    def _finish(self, job: JobRow, outcome: Outcome) -> str:
-        if outcome.problem is not None:
-            return self._failed(job, outcome)
-        try:
-            published = self._persist(lambda: self._store.publish(job, outcome.rows, outcome.results))
-        except Exception:
-            self._worker.discard(outcome)
-            raise
-        if not published:
-            self._worker.discard(outcome)
-        return "done"
+    def _tell(self, job: JobRow, ended: str, seconds: float) -> None:
+        """The metrics and the log of a run that has ended."""
+        row = self._store.get(JobRow, job.id)
+        self._metrics.job(job.kind, ended, seconds, [] if row is None else row.results)
+        about = {"job": job.id, "kind": job.kind, "attempt": job.attempt, "state": ended}
+        _log.info("a job has ended", extra={**about, "seconds": round(seconds, 3)})
 
-    def _failed(self, job: JobRow, outcome: Outcome) -> str:
-        problem = outcome.problem
-        assert problem is not None
-        self._persist(lambda: self._store.fail(job, problem, outcome.results))
-        return "failed"
-
-    def _persist(self, write: Callable[[], bool]) -> bool:
-        """Write to the row, again a few times while the database does not take it."""
-        for wait in RETRY_AFTER:
+    def _keep(self) -> None:
+        while not self._stopped.wait(self._lease_seconds / 3):
             try:
-                return write()
-            except OperationalError:
-                _log.warning("the database does not take a job's end; again in %g s", wait, exc_info=True)
-                self._stopping.wait(wait)
-        return write()
-
-    def _reporter(self, job: JobRow) -> Progress:
-        last = 0.0
-
-        def progress(share: float, what: str) -> None:
-            nonlocal last
-            if self._stopping.is_set():
-                raise Cancelled
-            now = time.monotonic()
-            if now - last >= PROGRESS_EVERY:
-                last = now
-                try:
-                    stop = self._store.advance(job, share, what)
-                except SQLAlchemyError:
-                    # The work is worth more than the record of how far it is.
-                    _log.warning("the progress of job %s can't be recorded", job.id, exc_info=True)
-                    return
-                if stop:
-                    raise Cancelled
-
-        return progress
+                self._store.renew(list(self._held.values()), self._lease_seconds)
+                again = self._store.recover(self._max_attempts, EXHAUSTED)
+            except Exception:
+                _log.exception("leases can't be renewed; trying again")
+                continue
+            forget_when_many()
+            if again:
+                _log.warning("the leases of %d job(s) lapsed; they wait again", again)
+                self.wake()

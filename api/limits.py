@@ -1,12 +1,27 @@
-"""Limits: request bodies are cut where they pass the limit, while they stream."""
+"""Limits: request bodies are cut where they pass the limit, and posteriors at their size."""
 
 from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.metrics import Metrics
 from api.problems import Problem
 from api.settings import Settings
+from fitter.spec import PosteriorSpec
+
+
+def check_posterior(spec: PosteriorSpec, settings: Settings) -> None:
+    """Raises Problem (422) where a posterior is asked for that is larger than the server makes them."""
+    for parameter, asked, most in (
+        ("walkers", spec.ensembles * (spec.walkers or 1), settings.max_walkers),
+        ("keep", spec.keep, settings.max_kept_draws),
+        ("budget_seconds", spec.budget_seconds, settings.max_budget_seconds),
+    ):
+        if asked > most:
+            raise Problem.invalid(
+                "beyond-limit", f"{parameter} comes to {asked:g}, the limit is {most:g}", parameter=parameter,
+                remedy="ask for less, or have the server's operator raise the limit",
+            )  # fmt: skip
+
 
 #: What multipart framing may add to a file.
 FRAMING = 64 << 10
@@ -41,23 +56,3 @@ class BodyLimit:
             return message
 
         await self._app(scope, counted, send)
-
-
-class Counted:
-    """Middleware that counts answers."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
-        async def noted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                metrics: Metrics = scope["app"].state.service.metrics
-                metrics.request(scope["method"], message["status"])
-            await send(message)
-
-        await self._app(scope, receive, noted)

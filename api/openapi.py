@@ -10,12 +10,24 @@ from pydantic import BaseModel
 
 from api.arrow_stream import ARROW
 from api.exchange import NPY
+from api.guard import is_open, needed
 from api.problems import MEDIA_TYPE
 
 _COMPONENT = {"type": "number", "minimum": -1.01, "maximum": 1.01}
 _VECTOR = {"type": "array", "items": _COMPONENT, "minItems": 3, "maxItems": 3}
 _VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1}]}
 _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
+_PARAMETERS = {
+    "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0, "format": "openexr",
+    "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55",
+}  # fmt: skip
+_TABLE = """# quantity: brdf
+theta_i_deg,theta_o_deg,dphi_deg,brdf_R,brdf_G,brdf_B
+0,0,0,0.12,0.15,0.2
+0,30,0,0.12,0.15,0.2
+30,0,0,0.12,0.15,0.2
+30,30,180,0.3,0.33,0.38
+"""
 _BINARY = {"type": "string", "format": "binary"}
 _PROBLEM = {"$ref": "#/components/schemas/ProblemDocument"}
 
@@ -47,14 +59,72 @@ def upload_request() -> dict[str, Any]:
     fields = {"file": _BINARY}
     form = {"type": "object", "required": ["file"], "properties": fields, "additionalProperties": False}
     content = {
-        "application/octet-stream": {"schema": _BINARY}, "text/plain": {"schema": {"type": "string"}},
+        "application/octet-stream": {"schema": _BINARY},
+        "text/plain": {"schema": {"type": "string"}, "example": _TABLE},
         "multipart/form-data": {"schema": form},
     }  # fmt: skip
     return {"requestBody": {"required": True, "content": content}}
 
 
+def _conditional(operation: dict[str, Any]) -> None:
+    """Add what api.conditional does to an operation: the tag, and the answer to who has it."""
+    answer = operation["responses"]["200"]
+    if "text/event-stream" in answer.get("content", {}):
+        return
+    tag = {"description": "hash of the content", "schema": {"type": "string"}}
+    answer.setdefault("headers", {})["ETag"] = tag
+    operation["responses"]["304"] = {"description": "The content is what If-None-Match names"}
+
+
+def _guarded(operation: dict[str, Any], scope: str) -> None:
+    """Add what api.guard does to an operation: the key, and the answers to who has none or asks too often."""
+    # Either: whether keys are asked for is the server's affair.
+    operation["security"] = [{"key": [scope]}, {}]
+    for status, says in (
+        ("401", "This server asks for an API key"), ("403", "The key does not have the scope"),
+        ("429", "Too many requests, or too many jobs wait"), ("503", "The database is away for a while"),
+        *([("507", "The disk is full")] if scope == "write" else []),
+    ):  # fmt: skip
+        operation["responses"].setdefault(status, {"description": says})
+
+
+def _idempotent(operation: dict[str, Any]) -> None:
+    """Add what api.idempotency does to an operation."""
+    about = "any text: the same request again under this name gets the first one's answer"
+    operation["parameters"].append(_header("Idempotency-Key", about, maxLength=255))
+    operation["responses"].setdefault("409", {"description": "That request is being worked on"})
+
+
+def _header(name: str, about: str, **schema: Any) -> dict[str, Any]:
+    return {
+        "name": name, "in": "header", "required": False, "description": about,
+        "schema": {"type": "string", **schema},
+    }  # fmt: skip
+
+
+def _completed(made: dict[str, Any]) -> None:
+    """What middleware does to operations, problems as media type, examples of ids."""
+    made["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+    for path, operations in made["paths"].items():
+        for method, operation in operations.items():
+            operation.setdefault("parameters", [])
+            if method == "get" and path.startswith("/v1/"):
+                _conditional(operation)
+            if not is_open(path):
+                scope = needed(method.upper(), path)
+                _guarded(operation, scope)
+                if method == "post" and scope == "write":
+                    _idempotent(operation)
+            for status, answer in operation["responses"].items():
+                if int(status) >= 400:
+                    answer["content"] = {MEDIA_TYPE: {"schema": _PROBLEM}}
+            for parameter in operation["parameters"]:
+                if parameter["name"] in _PARAMETERS:
+                    parameter.setdefault("example", _PARAMETERS[parameter["name"]])
+
+
 def install(app: FastAPI) -> None:
-    """Make the application's schema say that every error is a problem document."""
+    """Make the application's schema say what the framework can't know."""
 
     def schema() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -62,11 +132,7 @@ def install(app: FastAPI) -> None:
                 title=app.title, version=app.version, summary=app.summary, description=app.description,
                 routes=app.routes,
             )  # fmt: skip
-            for path in made["paths"].values():
-                for operation in path.values():
-                    for status, answer in operation["responses"].items():
-                        if int(status) >= 400:
-                            answer["content"] = {MEDIA_TYPE: {"schema": _PROBLEM}}
+            _completed(made)
             app.openapi_schema = made
         return app.openapi_schema
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -13,12 +12,12 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.types import Scope
 
 from fitter.errors import FitterError
 
-_log = logging.getLogger("brdf_fitter.api")
-
 MEDIA_TYPE = "application/problem+json"
+_OWN = ("status", "code", "detail")
 
 
 class ProblemDocument(BaseModel):
@@ -67,6 +66,13 @@ class Problem(HTTPException):
         return cls(404, "not-found", f"there is no {noun} {id[:64]}")
 
     @classmethod
+    def of_document(cls, found: Mapping[str, Any]) -> Problem:
+        """The problem that a document tells of."""
+        more = {key: item for key, item in found.items() if key not in ("type", "title", *_OWN)}
+        status, code, detail = (found[key] for key in _OWN)
+        return cls(status, code, detail, **more)
+
+    @classmethod
     def too_large(cls, limit: int) -> Problem:
         return cls(
             413, "too-large", f"the request is larger than the limit of {limit} bytes",
@@ -97,7 +103,7 @@ def internal() -> dict[str, Any]:
     """The document of an error nobody foresaw. The traceback goes to the log, never to the client."""
     return document(
         500, "internal-error", "the server failed in a way its authors did not foresee",
-        remedy="report it, with the time, to the server's operator",
+        remedy="report it, with the request's id, to the server's operator",
     )  # fmt: skip
 
 
@@ -111,29 +117,25 @@ def install(app: FastAPI) -> None:
         else:
             code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
             found = document(error.status_code, code, str(error.detail))
-        return _response(request, found, error.headers)
+        return respond(found, request.scope, error.headers)
 
     async def on_validation(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
-        return _response(request, _of_validation(error.errors()))
+        return respond(_of_validation(error.errors()), request.scope)
 
     async def on_fitter(request: Request, error: Exception) -> Response:
         assert isinstance(error, FitterError)
-        return _response(request, of_fitter_error(error))
+        return respond(of_fitter_error(error), request.scope)
 
     async def on_disconnect(request: Request, error: Exception) -> Response:
         # Nobody is left to read it, but the access log should not call it a server error.
-        return _response(request, document(400, "client-gone", "the client closed the connection"))
-
-    async def on_any(request: Request, error: Exception) -> Response:
-        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-        return _response(request, internal())
+        gone = document(400, "client-gone", "the client closed the connection")
+        return respond(gone, request.scope)
 
     app.add_exception_handler(HTTPException, on_http)
     app.add_exception_handler(RequestValidationError, on_validation)
     app.add_exception_handler(FitterError, on_fitter)
     app.add_exception_handler(ClientDisconnect, on_disconnect)
-    app.add_exception_handler(Exception, on_any)
 
 
 def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
@@ -149,8 +151,16 @@ def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _response(request: Request, found: dict[str, Any], headers: Mapping[str, str] | None = None) -> Response:
-    content = encoded({**found, "instance": request.url.path})
+def answer(problem: Problem, scope: Scope) -> Response:
+    """The answer that a problem is, for middleware: the framework knows nothing of it there."""
+    found = document(problem.status_code, problem.code, problem.detail, **problem.more)
+    return respond(found, scope, problem.headers)
+
+
+def respond(found: dict[str, Any], scope: Scope, headers: Mapping[str, str] | None = None) -> Response:
+    """The answer that holds a problem document; it is counted."""
+    scope["app"].state.service.metrics.problem(found["code"])
+    content = encoded({**found, "instance": scope["path"]})
     return Response(content, found["status"], headers=headers, media_type=MEDIA_TYPE)
 
 

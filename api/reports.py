@@ -7,43 +7,43 @@ from typing import Any, Literal
 
 import orjson
 
+from api.access import Mine
 from api.problems import Problem
 from api.rows import ModelRow, PosteriorRow, TableRow
-from api.service import Service
 from fitter.documents import dumps
 
 Kind = Literal["json", "html", "pdf"]
 
 
-def report(here: Service, row: ModelRow, kind: Kind) -> bytes:
+def report(here: Mine, row: ModelRow, kind: Kind) -> bytes:
     """The report of a fit. Raises Problem (409) where it needs a table that was deleted."""
-    latest, _ = here.store.page(PosteriorRow, 1, 0, PosteriorRow.fit_id == row.id)
+    latest, _ = here.page(PosteriorRow, 1, 0, PosteriorRow.fit_id == row.id)
     posterior_id = latest[0].id if latest else None
     # The latest finished posterior is part of the report, so its id names the file that keeps it.
     name = posterior_id or row.id
-    with here.report_lock:
-        kept = here.results.report(name, kind)
+    with here.service.report_lock:
+        kept = here.service.results.report(name, kind)
         if kept is None:
-            record = here.results.report(name, "json")
+            record = here.service.results.report(name, "json")
             if kind == "pdf" and record is not None:
                 # Drawn when somebody wants it: most are looked at in a browser.
                 _draw(here, name, record)
             else:
                 _make(here, row, posterior_id, name)
                 if kind == "pdf":
-                    _draw(here, name, here.results.report(name, "json") or b"")
-            kept = here.results.report(name, kind)
+                    _draw(here, name, here.service.results.report(name, "json") or b"")
+            kept = here.service.results.report(name, kind)
     assert kept is not None
     return kept
 
 
-def _draw(here: Service, name: str, record: bytes) -> None:
+def _draw(here: Mine, name: str, record: bytes) -> None:
     made: Any = importlib.import_module("fitter.report").Report.from_dict(orjson.loads(record))
-    here.results.write_report(name, "pdf", made.pdf())
+    here.service.results.write_report(name, "pdf", made.pdf())
 
 
-def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> None:
-    table_row = here.store.get(TableRow, row.table_id or "")
+def _make(here: Mine, row: ModelRow, posterior_id: str | None, name: str) -> None:
+    table_row = here.find(TableRow, row.table_id or "")
     if table_row is None:
         raise Problem(
             409, "table-gone", "the table of this fit was deleted, and a report shows it",
@@ -52,9 +52,9 @@ def _make(here: Service, row: ModelRow, posterior_id: str | None, name: str) -> 
     from fitter.fitting import FitResult
     from fitter.posterior import Posterior
 
-    fit = FitResult.from_dict(here.results.read(row.id))
-    posterior = None if posterior_id is None else Posterior.from_dict(here.results.read(posterior_id))
-    table = here.tables.open(table_row).table
+    fit = FitResult.from_dict(here.service.results.read(row.id))
+    posterior = None if posterior_id is None else Posterior.from_dict(here.service.results.read(posterior_id))
+    table = here.service.tables.open(table_row).table
     made: Any = importlib.import_module("fitter.report").complete(table, fit, posterior)
-    here.results.write_report(name, "json", dumps(made.to_dict()))
-    here.results.write_report(name, "html", made.html().encode())
+    here.service.results.write_report(name, "json", dumps(made.to_dict()))
+    here.service.results.write_report(name, "html", made.html().encode())

@@ -1,4 +1,4 @@
-"""Results: one JSON document a fit, posterior, calibration or tradeoff, in files named by the row's id."""
+"""Results: one JSON document a fit, posterior, calibration or tradeoff, named by the row's id."""
 
 from __future__ import annotations
 
@@ -7,47 +7,64 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fitter.documents import read_document, write_bytes, write_document
+import orjson
+
+from api.storage import Storage
+from fitter.documents import dumps
+from fitter.errors import SpecError
+
+#: What is drawn of a result.
+KINDS = ("json", "html", "pdf", "png")
 
 
 class Results:
-    """A folder of result documents and of the reports made from them."""
+    """Result documents and reports made from them, in a storage; checkpoints of running jobs in a folder."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder / "results"
-        self._folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, storage: Storage, folder: Path) -> None:
+        self._storage = storage
+        self._checkpoints = folder / "checkpoints"
 
     def write(self, id: str, document: Mapping[str, Any]) -> None:
-        """Write aside and rename."""
-        write_document(document, self._path(id))
+        """Whole or not at all."""
+        self._storage.write(_name(id), dumps(document))
 
     def read(self, id: str) -> dict[str, Any]:
-        return dict(read_document(self._path(id), "result-missing"))
+        """Raises SpecError where the document is gone."""
+        try:
+            return dict(orjson.loads(self._storage.read(_name(id))))
+        except FileNotFoundError as error:
+            raise SpecError("this result is not there", code="result-missing", file=_name(id)) from error
 
     def drop(self, id: str) -> None:
         """Delete a document that no row came to name, and what was drawn of it."""
-        self._path(id).unlink(missing_ok=True)
-        for report in self._folder.glob(f"{id}.report.*"):
-            report.unlink(missing_ok=True)
+        for name in (_name(id), *(_report(id, kind) for kind in KINDS)):
+            self._storage.drop(name)
 
     def report(self, id: str, kind: str) -> bytes | None:
         """A report made before, None if there is none."""
-        path = self._folder / f"{id}.report.{kind}"
-        return path.read_bytes() if path.exists() else None
+        try:
+            return self._storage.read(_report(id, kind))
+        except FileNotFoundError:
+            return None
 
     def write_report(self, id: str, kind: str, content: bytes) -> None:
-        write_bytes(content, self._folder / f"{id}.report.{kind}")
+        self._storage.write(_report(id, kind), content)
 
     def checkpoint(self, job: str) -> Path:
         """The folder in which a job keeps what it has done, for the attempt after this one."""
-        return self._folder.parent / "checkpoints" / job
+        return self._checkpoints / job
 
     def drop_checkpoint(self, job: str) -> None:
         shutil.rmtree(self.checkpoint(job), ignore_errors=True)
 
     def checkpoints(self) -> list[str]:
         """The jobs that left one."""
-        return [path.name for path in self.checkpoint("").glob("*")]
+        return [path.name for path in self._checkpoints.glob("*")]
 
-    def _path(self, id: str) -> Path:
-        return self._folder / f"{id}.json"
+
+def _name(id: str) -> str:
+    return f"results/{id}.json"
+
+
+def _report(id: str, kind: str) -> str:
+    return f"results/{id}.report.{kind}"

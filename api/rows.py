@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Boolean, Float, Index, Integer, String
+from sqlalchemy import JSON, BigInteger, Boolean, Float, Index, Integer, LargeBinary, String
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 #: States a job may be in; the last three are final.
@@ -12,13 +12,23 @@ QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed"
 FINAL = (DONE, FAILED, CANCELLED)
 
 
-class Row(DeclarativeBase):
-    """Every row: a random id (32 hexadecimal digits) and when it was made (seconds since 1970, UTC)."""
+class Base(DeclarativeBase):
+    """Everything the database holds. A change here needs a step in ``api/migrations/versions``."""
 
     type_annotation_map = {dict[str, Any]: JSON, list[Any]: JSON}  # noqa: RUF012 (SQLAlchemy's own idiom)
 
+
+class Row(Base):
+    """Most rows: a random id (32 hexadecimal digits), when it was made (seconds since 1970, UTC), and whose.
+
+    owner : of the API key that asked for it, "" where none was needed.
+    """
+
+    __abstract__ = True
+
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     created: Mapped[float] = mapped_column(Float(53), index=True)
+    owner: Mapped[str] = mapped_column(String(64), default="", server_default="", index=True)
 
 
 class TableRow(Row):
@@ -34,10 +44,15 @@ class TableRow(Row):
 
 
 class JobRow(Row):
-    """Work that takes time. The row is the record: what the queue and its clients know is here."""
+    """Work that takes time. The row is the record: what the queue and its clients know is here.
+
+    server : who has claimed the job, until ``lease`` (seconds since 1970 by the database's clock).
+    worker : the process that works on this attempt, None until one does. losses : attempts that ended with
+    the death of who worked on them. events : how many there are in its log.
+    """
 
     __tablename__ = "jobs"
-    __table_args__ = (Index("jobs_by_state", "state", "created"),)
+    __table_args__ = (Index("jobs_by_state", "state", "created"), Index("jobs_by_lease", "state", "lease"))
 
     kind: Mapped[str] = mapped_column(String(16))
     state: Mapped[str] = mapped_column(String(16), default=QUEUED)
@@ -51,6 +66,26 @@ class JobRow(Row):
     finished: Mapped[float | None] = mapped_column(Float(53), default=None)
     results: Mapped[list[Any]] = mapped_column(JSON, default=list)
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    server: Mapped[str | None] = mapped_column(String(64), default=None)
+    worker: Mapped[str | None] = mapped_column(String(255), default=None)
+    lease: Mapped[float | None] = mapped_column(Float(53), default=None)
+    losses: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+    events: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+
+
+class EventRow(Base):
+    """What became of a job, number ``seq`` from 1, without gaps: written with the change that it tells of.
+
+    kind : ``progress``, or the final state. data : what of the job's row changes, as it was then.
+    """
+
+    __tablename__ = "job_events"
+
+    job_id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    seq: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    created: Mapped[float] = mapped_column(Float(53))
+    kind: Mapped[str] = mapped_column(String(16))
+    data: Mapped[dict[str, Any]]
 
 
 class ModelRow(Row):
@@ -94,3 +129,34 @@ class PosteriorRow(Row):
     fit_id: Mapped[str] = mapped_column(String(32), index=True)
     job_id: Mapped[str] = mapped_column(String(32))
     summary: Mapped[dict[str, Any]]
+
+
+class KeyRow(Row):
+    """An API key. Only the hash of its secret is kept. revoked : when it was, None while it is good."""
+
+    __tablename__ = "api_keys"
+
+    name: Mapped[str] = mapped_column(String(255))
+    scope: Mapped[str] = mapped_column(String(16))
+    hash: Mapped[str] = mapped_column(String(64), unique=True)
+    revoked: Mapped[float | None] = mapped_column(Float(53), default=None)
+
+
+class IdempotencyRow(Base):
+    """A POST that named itself, and its answer (``status`` None while it is being made).
+
+    made : the id of what it makes, the same at every attempt. lease : until when (seconds since 1970 by the
+    database's clock) whoever works on it has it for itself. fingerprint : of the whole request.
+    """
+
+    __tablename__ = "idempotency"
+
+    owner: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    created: Mapped[float] = mapped_column(Float(53), index=True)
+    made: Mapped[str] = mapped_column(String(32))
+    lease: Mapped[float] = mapped_column(Float(53))
+    fingerprint: Mapped[str | None] = mapped_column(String(64), default=None)
+    status: Mapped[int | None] = mapped_column(Integer, default=None)
+    headers: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    body: Mapped[bytes | None] = mapped_column(LargeBinary, default=None)

@@ -47,6 +47,19 @@ class TableDocument(BaseModel):
     links: dict[str, str]
 
 
+class InfoDocument(BaseModel):
+    """A table at first sight, as ``brdf-fitter info --json`` prints it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["brdf-fitter/table"]
+    format: str
+    quantity: str
+    channels: list[dict[str, Any]]
+    noise: dict[str, Any]
+    blind_spots: dict[str, Any]
+
+
 class FindingDocument(BaseModel):
     """What one quality check found. ``judged`` is false where the table lacks what the check needs."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import FrameType
 
 import uvicorn
 
+from api import logs
 from api.app import create_app
-from api.service import Service, check_folder
+from api.service import Service, check_folder, check_parts
 from api.settings import Settings
 from fitter import _jax
 
@@ -26,19 +26,19 @@ class _Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-def serve(
-    *, host: str = "127.0.0.1", port: int = 8000, folder: Path, workers: int = 2, log_level: str = "info"
-) -> None:
-    """Serve ``folder`` until interrupted. ``workers`` threads run jobs.
+def serve(settings: Settings, *, host: str = "127.0.0.1", port: int = 8000, log_level: str = "info") -> None:
+    """Serve until interrupted. Compiled programs are kept in the folder.
 
-    Compiled programs are kept in the folder. Raises SpecError when another server works on it.
+    Raises SpecError when another server works on it, when the database or the storage can't be used, and when
+    something is not installed.
     """
-    settings = Settings(folder=folder, workers=workers)
     check_folder(settings)
+    check_parts(settings)
+    logs.configure(log_level)
     _jax.compile_sooner()
-    _jax.use_compilation_cache(folder / "xla")
+    _jax.use_compilation_cache(settings.place.programs)
     config = uvicorn.Config(
-        create_app(settings), host=host, port=port, log_level=log_level, server_header=False,
+        create_app(settings), host=host, port=port, log_config=None, access_log=False, server_header=False,
         timeout_graceful_shutdown=CONNECTION_GRACE,
     )  # fmt: skip
     _Server(config).run()

@@ -108,7 +108,10 @@ class Worker:
                 document=document["model"], table_id=job.table_id, job_id=job.id, summary=summary,
             )
         )  # fmt: skip
-        return {"kind": "fit", "model": fit.spec.model.name, "id": id, "status": fit.status}
+        return {
+            "kind": "fit", "model": fit.spec.model.name, "id": id, "status": fit.status,
+            "seconds": fit.seconds,
+        }  # fmt: skip
 
     def _posterior(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
         from fitter.fitting import FitResult
@@ -129,7 +132,10 @@ class Worker:
         self._results.write(id, posterior.to_dict())
         summary = {"status": posterior.status, "message": posterior.message, "seconds": posterior.seconds}
         row = PosteriorRow(id=id, created=time.time(), fit_id=fit_id, job_id=job.id, summary=summary)
-        result = {"kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status}
+        result = {
+            "kind": "posterior", "model": fit.spec.model.name, "id": id, "status": posterior.status,
+            "seconds": posterior.seconds, "acceptance": posterior.acceptance,
+        }  # fmt: skip
         return Outcome([row], [result])
 
     def _calibration(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import documents, exchange, schemas
+from api.access import Here, Mine
 from api.exports import ChosenChannels, draws_responses, respond_draws
+from api.limits import check_posterior
 from api.problems import Problem
 from api.reports import Kind, report
-from api.routes import Limit, Offset, problems
-from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow
-from api.service import Here, Service
-from api.store import new_id
+from api.routes import Limit, Offset, page, problems
+from api.rows import CalibrationRow, ModelRow, PosteriorRow, TableRow
+from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.errors import SpecError
 from fitter.fitting import check
@@ -27,73 +27,68 @@ router = APIRouter(prefix="/v1", tags=["fits"])
 
 
 @router.post(
-    "/fits", status_code=202, response_model=schemas.JobDocument, responses=problems(400, 404, 413, 422, 429)
+    "/fits", status_code=202, response_model=schemas.JobDocument, responses=answers(400, 404, 413, 422, 429)
 )
-def start_fit(wanted: schemas.FitRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_fit(
+    wanted: schemas.FitRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Fit one model, or several, to a table, or compare models ("auto"). The answer is a job; when done it
     links one fit a model."""
-    auto = {"candidates", "folds", "budget_seconds"}
-    if wanted.model == AUTO and wanted.models is None:
-        return start(here, response, "fit", wanted.table, {"selection": _selection(wanted)})
-    if misplaced := sorted(auto & wanted.model_fields_set):
-        raise SpecError(
-            f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
-            remedy='give "model": "auto", or leave it out',
-        )  # fmt: skip
-    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"} | auto, exclude_unset=True)
-    chosen = wanted.models if wanted.models is not None else [wanted.model]
-    if (wanted.model is None) == (wanted.models is None):
-        raise SpecError(
-            "exactly one of model and models is needed", code="bad-spec", parameter="model",
-            remedy='give "model": "ward", or "models": ["ward", "lafortune:2"]',
-        )  # fmt: skip
-    specs = [
-        fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
-        for one in chosen if one is not None
-    ]  # fmt: skip
-    if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
-        check(specs[0])
-    request = {"specs": [spec.model_dump(mode="json") for spec in specs]}
-    return start(here, response, "fit", wanted.table, request)
+    return await started(here, response, prefer, "fit", lambda: (wanted.table, _fit_request(wanted)))
 
 
 @router.post(
     "/posteriors", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+    responses=answers(400, 404, 409, 413, 422, 429), tags=["posteriors"],
 )  # fmt: skip
-def start_posterior(wanted: schemas.PosteriorRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_posterior(
+    wanted: schemas.PosteriorRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Sample the posterior of a finished fit. The answer is a job."""
-    row = _with_table(here, wanted.fit)
-    spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
-    return start(here, response, "posterior", str(row.table_id), {"fit": row.id, "spec": spec})
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        check_posterior(wanted, here.service.settings)
+        row = _with_table(here, wanted.fit)
+        spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
+        return str(row.table_id), {"fit": row.id, "spec": spec}
+
+    return await started(here, response, prefer, "posterior", prepare)
 
 
 @router.post(
     "/calibrations", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 409, 413, 422, 429), tags=["posteriors"],
+    responses=answers(400, 404, 409, 413, 422, 429), tags=["posteriors"],
 )  # fmt: skip
-def start_calibration(wanted: schemas.CalibrationRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_calibration(
+    wanted: schemas.CalibrationRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Judge posteriors of a finished fit's model by simulations on its table's directions. The answer is a
     job; a simulation takes about a second."""
-    spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
-    row = _with_table(here, wanted.fit)
-    request = {"fit": row.id, "spec": spec.model_dump(mode="json")}
-    return start(here, response, "calibration", str(row.table_id), request)
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
+        check_posterior(spec.posterior, here.service.settings)
+        row = _with_table(here, wanted.fit)
+        return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
+
+    return await started(here, response, prefer, "calibration", prepare)
 
 
 @router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
-def fits(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def fits(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The finished fits, newest first."""
-    rows, total = here.store.page(ModelRow, limit, offset, ModelRow.origin == "fit")
-    return documents.page([documents.fit(row) for row in rows], total, limit, offset)
+    rows, total = here.page(ModelRow, limit, offset, ModelRow.origin == "fit")
+    return page(request, response, [documents.fit(row) for row in rows], total, limit, offset)
 
 
 @router.get("/fits/{id}", response_model=schemas.FitDocument, responses=problems(404, 422))
 def fit(id: str, here: Here) -> Response:
     """The whole result: a file of it is what `brdf-fitter posterior`, `report` and `sample` take."""
     row = fit_row(here, id)
-    made, _ = here.store.page(PosteriorRow, 100, 0, PosteriorRow.fit_id == id)
-    document = here.results.read(id)
+    made, _ = here.page(PosteriorRow, 100, 0, PosteriorRow.fit_id == id)
+    document = here.service.results.read(id)
     added = {"id": id, "posteriors": [one.id for one in made], "links": documents.fit_links(row)}
     return Response(dumps({**document, **added}), media_type="application/json")
 
@@ -150,12 +145,11 @@ def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header
 )  # fmt: skip
 def posterior(id: str, here: Here) -> Response:
     """The whole posterior: draws, credible intervals, diagnostics."""
-    row = here.store.get(PosteriorRow, id)
-    if row is None:
-        raise Problem.not_found("posterior", id)
+    row = here.get(PosteriorRow, id)
     links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
     links["export"] = f"/v1/posteriors/{id}/export/{{format}}"
-    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+    document = {**here.service.results.read(id), "id": id, "links": links}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get(
@@ -169,11 +163,10 @@ def posterior_export(
     unconverged: Annotated[bool, Query(description="also of a posterior that did not converge")] = False,
 ) -> Response:  # fmt: skip
     """Draws of the posterior as a set of materials; `/v1/export-targets` lists the formats."""
-    if here.store.get(PosteriorRow, id) is None:
-        raise Problem.not_found("posterior", id)
+    here.get(PosteriorRow, id)
     from fitter.posterior import Posterior  # takes a second, and only here
 
-    found = Posterior.from_dict(here.results.read(id))
+    found = Posterior.from_dict(here.service.results.read(id))
     return respond_draws(found, format, draws, channels=channels, unconverged=unconverged)
 
 
@@ -183,13 +176,14 @@ def posterior_export(
 )  # fmt: skip
 def calibration(id: str, here: Here) -> Response:
     """The whole calibration: every rank, the tests, the verdict."""
-    row = _calibration_row(here, id)
+    row = here.get(CalibrationRow, id)
     self = f"/v1/calibrations/{id}"
     links = {
         "self": self, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}",
         "picture": f"{self}/picture.png",
     }  # fmt: skip
-    return Response(dumps({**here.results.read(id), "id": id, "links": links}), media_type="application/json")
+    document = {**here.service.results.read(id), "id": id, "links": links}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get(
@@ -202,34 +196,53 @@ def calibration(id: str, here: Here) -> Response:
 )  # fmt: skip
 def calibration_picture(id: str, here: Here) -> Response:
     """How far the ranks' distribution functions stray from uniform, with their simultaneous bands."""
-    content = here.results.report(_calibration_row(here, id).id, "png")
+    content = here.service.results.report(here.get(CalibrationRow, id).id, "png")
     assert content is not None  # written before the row was published
     return Response(content, media_type="image/png")
 
 
-def _calibration_row(here: Service, id: str) -> CalibrationRow:
-    row = here.store.get(CalibrationRow, id)
-    if row is None:
-        raise Problem.not_found("calibration", id)
-    return row
-
-
-def _with_table(here: Service, id: str) -> ModelRow:
+def _with_table(here: Mine, id: str) -> ModelRow:
     """The row of a fit whose table is still there. Raises Problem (404, 409)."""
     row = fit_row(here, id)
-    if here.store.get(TableRow, row.table_id or "") is None:
+    if here.find(TableRow, row.table_id or "") is None:
         raise Problem(
             409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"
         )
     return row
 
 
-def fit_row(here: Service, id: str) -> ModelRow:
+def fit_row(here: Mine, id: str) -> ModelRow:
     """The row of a fit. Raises Problem (404)."""
-    row = here.store.get(ModelRow, id)
-    if row is None or row.origin != "fit":
+    row = here.get(ModelRow, id, "fit")
+    if row.origin != "fit":
         raise Problem.not_found("fit", id)
     return row
+
+
+def _fit_request(wanted: schemas.FitRequest) -> dict[str, Any]:
+    """What a job of these fits works from. Raises SpecError."""
+    auto = {"candidates", "folds"}
+    if wanted.model == AUTO and wanted.models is None:
+        return {"selection": _selection(wanted)}
+    if misplaced := sorted(auto & wanted.model_fields_set):
+        raise SpecError(
+            f"{misplaced[0]} belongs to the model \"auto\"", code="bad-spec", parameter=misplaced[0],
+            remedy='give "model": "auto", or leave it out',
+        )  # fmt: skip
+    given = wanted.model_dump(mode="json", exclude={"table", "model", "models"} | auto, exclude_unset=True)
+    chosen = wanted.models if wanted.models is not None else [wanted.model]
+    if (wanted.model is None) == (wanted.models is None):
+        raise SpecError(
+            "exactly one of model and models is needed", code="bad-spec", parameter="model",
+            remedy='give "model": "ward", or "models": ["ward", "lafortune:2"]',
+        )  # fmt: skip
+    specs = [
+        fit_spec({**given, "model": one if isinstance(one, str) else one.model_dump()})
+        for one in chosen if one is not None
+    ]  # fmt: skip
+    if len(specs) == 1:  # of several, those that make no sense are listed with what came of the others
+        check(specs[0])
+    return {"specs": [spec.model_dump(mode="json") for spec in specs]}
 
 
 def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
@@ -250,18 +263,6 @@ def _selection(wanted: schemas.FitRequest) -> dict[str, Any]:
     return spec.model_dump(mode="json")
 
 
-def start(
-    here: Service, response: Response, kind: str, table: str, request: dict[str, Any]
-) -> dict[str, Any]:
-    """Queue a job that works on a table; the answer that names it. Raises Problem (404, 429)."""
-    if here.store.get(TableRow, table) is None:
-        raise Problem.not_found("table", table)
-    job = JobRow(id=new_id(), created=time.time(), kind=kind, table_id=table, request=request)
-    here.submit(job)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return documents.job(job)
-
-
-def _report(here: Service, id: str, kind: Kind) -> Response:
+def _report(here: Mine, id: str, kind: Kind) -> Response:
     content = report(here, fit_row(here, id), kind)
     return Response(content, media_type=MEDIA[kind], headers={"Vary": "Accept"})

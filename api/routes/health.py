@@ -9,9 +9,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import fitter
 from api import metrics, schemas
+from api.access import Here
 from api.problems import Problem
 from api.routes import problems
-from api.service import Here
 
 router = APIRouter(tags=["health"])
 
@@ -26,10 +26,10 @@ def healthz() -> dict[str, Any]:
 def readyz(here: Here) -> dict[str, Any]:
     """The database answers, and the server is not stopping."""
     try:
-        here.store.ping()
+        here.service.store.ping()
     except SQLAlchemyError as error:
         raise Problem(503, "not-ready", "the database does not answer") from error
-    if here.stopping.is_set():
+    if here.service.stopping.is_set():
         raise Problem(503, "not-ready", "the server is stopping")
     return {"status": "ok", "version": fitter.__version__}
 
@@ -40,4 +40,4 @@ def readyz(here: Here) -> dict[str, Any]:
 )  # fmt: skip
 def prometheus(here: Here) -> Response:
     """Counters for Prometheus."""
-    return Response(here.metrics.text(here.store.counts()), media_type=metrics.MEDIA_TYPE)
+    return Response(here.service.metrics.text(here.service.store.counts()), media_type=metrics.MEDIA_TYPE)

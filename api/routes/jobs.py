@@ -7,14 +7,14 @@ from typing import Annotated, Any, Literal
 
 import anyio
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api import documents, schemas
+from api.access import Here
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import DONE, FAILED, FINAL, JobRow
-from api.service import Here
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -24,10 +24,7 @@ State = Literal["queued", "running", "done", "failed", "cancelled"]
 
 
 def _row(id: str, here: Here) -> JobRow:
-    row = here.store.get(JobRow, id)
-    if row is None:
-        raise Problem.not_found("job", id)
-    return row
+    return here.get(JobRow, id)
 
 
 Job = Annotated[JobRow, Depends(_row)]
@@ -35,12 +32,13 @@ Job = Annotated[JobRow, Depends(_row)]
 
 @router.get("", response_model=schemas.Page[schemas.JobDocument], responses=problems(422))
 def jobs(
-    here: Here, limit: Limit = 50, offset: Offset = 0, state: Annotated[State | None, Query()] = None
-) -> dict[str, Any]:
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0,
+    state: Annotated[State | None, Query()] = None,
+) -> dict[str, Any]:  # fmt: skip
     """The jobs, newest first."""
     where = () if state is None else (JobRow.state == state,)
-    rows, total = here.store.page(JobRow, limit, offset, *where)
-    return documents.page([documents.job(row) for row in rows], total, limit, offset)
+    rows, total = here.page(JobRow, limit, offset, *where)
+    return page(request, response, [documents.job(row) for row in rows], total, limit, offset)
 
 
 @router.get("/{id}", response_model=schemas.JobDocument, responses=problems(404, 422))
@@ -50,23 +48,32 @@ def job(row: Job) -> dict[str, Any]:
 
 
 @router.get("/{id}/events", response_class=EventSourceResponse, responses=problems(404, 422))
-async def events(row: Job, here: Here) -> AsyncIterable[ServerSentEvent]:
+async def events(
+    row: Job,
+    here: Here,
+    last_event_id: Annotated[
+        int, Header(ge=0, le=2**31 - 1, description="the last event received: go on after it")
+    ] = 0,
+) -> AsyncIterable[ServerSentEvent]:
     """Follow a job: a `progress` event at each change, then one named for the final state; both hold the job.
 
-    The stream also ends when the server stops; a client that connects again goes on where the job is.
+    Events are numbered from 1 and kept: a client that connects again with `Last-Event-ID` misses none and
+    gets none twice. The stream ends with the final event, or when the server stops.
     """
-    shown = None
-    current: JobRow | None = row
-    while current is not None and not here.stopping.is_set():
-        document = documents.job(current)
-        final = current.state in FINAL
-        if document != shown:
-            yield ServerSentEvent(data=document, event=current.state if final else "progress")
-            shown = document
-        if final:
+    seen = last_event_id
+    while not here.service.stopping.is_set():
+        found = await to_thread.run_sync(here.service.store.events, row.id, seen)
+        for event in found:
+            yield ServerSentEvent(data=documents.job_event(row, event), event=event.kind, id=str(event.seq))
+            seen = event.seq
+            if event.kind in FINAL:
+                return
+        if found:
+            continue
+        current = await to_thread.run_sync(here.service.store.get, JobRow, row.id)
+        if current is None or (current.state in FINAL and seen >= current.events):
             return
         await anyio.sleep(LOOK_EVERY)
-        current = await to_thread.run_sync(here.store.get, JobRow, row.id)
 
 
 @router.post(
@@ -74,7 +81,7 @@ async def events(row: Job, here: Here) -> AsyncIterable[ServerSentEvent]:
 )
 def cancel(row: Job, here: Here) -> dict[str, Any]:
     """Cancel a job: at once while it waits, at its next safe point while it runs."""
-    now = here.store.cancel(row.id)
+    now = here.service.store.cancel(row.id)
     if now.state in (DONE, FAILED):
         raise Problem(409, "job-finished", f"the job is {now.state} already")
     return documents.job(now)

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 import fitter
 from api import documents, schemas
+from api.access import Here, Mine
 from api.exchange import (
     Body,
     FloatArray,
@@ -21,11 +22,8 @@ from api.exchange import (
 )
 from api.exports import ChosenChannels, export_responses, media_type, respond_export
 from api.openapi import array_request, array_response
-from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
-from api.service import Here, Service
-from api.store import new_id
 from fitter.errors import SpecError
 from fitter.export import subject, target, targets
 from fitter.models.describe import default, describe
@@ -35,13 +33,17 @@ router = APIRouter(tags=["models"])
 
 #: Pairs are padded to the next power of two, so that a handful of compiled programs serve all requests.
 SMALLEST_BUCKET = 64
+#: Bytes whose multiples JAX's arrays begin at.
+ALIGNMENT = 64
 
 
 @router.get("/v1/models", response_model=schemas.Page[schemas.ModelDocument], responses=problems(422))
-def models(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def models(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """Fitted and uploaded models, newest first."""
-    rows, total = here.store.page(ModelRow, limit, offset)
-    return documents.page([documents.model(row) for row in rows], total, limit, offset)
+    rows, total = here.page(ModelRow, limit, offset)
+    return page(request, response, [documents.model(row) for row in rows], total, limit, offset)
 
 
 @router.post(
@@ -64,10 +66,13 @@ def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict
         )  # fmt: skip
     values = {name: np.asarray(value) for name, value in wanted.values.items()}
     model = fitter.models.create(spec, channels=wanted.channels, **values)
-    row = ModelRow(
-        id=new_id(), created=time.time(), origin="upload", name=spec.name, document=model.to_dict()
-    )
-    here.store.add(row)
+    row = here.made_before(ModelRow)
+    if row is None:
+        row = ModelRow(
+            id=here.new_id(), created=time.time(), owner=here.caller.owner, origin="upload", name=spec.name,
+            document=model.to_dict(),
+        )  # fmt: skip
+        here.service.store.add(row)
     response.headers["Location"] = f"/v1/models/{row.id}"
     return documents.model(row)
 
@@ -75,7 +80,7 @@ def upload(wanted: schemas.ModelRequest, here: Here, response: Response) -> dict
 @router.get("/v1/models/{id}", response_model=schemas.ModelDocument, responses=problems(404, 422))
 def model(id: str, here: Here) -> dict[str, Any]:
     """A model. The id of a fit names the model it found."""
-    return documents.model(_row(here, id))
+    return documents.model(here.get(ModelRow, id))
 
 
 @router.post(
@@ -87,7 +92,7 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
     """f without the cosine, 1/sr, at direction pairs; 0 where wo is below the horizon, unless the model
     transmits. Ideal (delta) components are not part of it."""
     found = _model(here, id)
-    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    wi, wo = read_pairs(request, body, here.service.settings.max_pairs)
     values = np.asarray(found.evaluate(*_padded(wi, wo)))[: len(wi)]
     document = {"channels": list(found.channels), "unit": "1/sr", "values": values}
     return respond(request, document, values)
@@ -101,7 +106,7 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
     """Density of `sample` drawing wo given wi, per unit solid angle."""
     found = _model(here, id)
-    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    wi, wo = read_pairs(request, body, here.service.settings.max_pairs)
     values = np.asarray(found.pdf(*_padded(wi, wo)))[: len(wi)]
     return respond(request, {"unit": "1/sr", "values": values}, values)
 
@@ -114,7 +119,7 @@ def pdf(id: str, request: Request, body: Body, here: Here) -> Response:
 def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
     """Directional-hemispherical reflectance, and transmittance where the model has one."""
     found = _model(here, id)
-    wi = read_incidences(request, body, here.settings.max_albedo_directions)
+    wi = read_incidences(request, body, here.service.settings.max_albedo_directions)
     values = np.asarray(found.albedo(wi))
     through = np.asarray(found.transmittance(wi)) if found.transmits(found.spec) else None
     document = {"channels": list(found.channels), "values": values, "transmittance": through}
@@ -128,7 +133,7 @@ def albedo(id: str, request: Request, body: Body, here: Here) -> Response:
 def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here) -> Response:
     """Directions drawn for one incidence, with their densities and weights."""
     found = _model(here, id)
-    wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
+    wi = checked_draws(wanted.wi, wanted.n, here.service.settings.max_draws)
     return respond_samples(request, found.sample(wi, wanted.n, seed=wanted.seed), found.channels)
 
 
@@ -141,12 +146,12 @@ def export(
     unconverged: Annotated[bool, Query(description="also a fit that did not converge")] = False,
 ) -> Response:  # fmt: skip
     """The model as a file of another program; `/v1/export-targets` lists the formats."""
-    row = _row(here, id)
+    row = here.get(ModelRow, id)
     chosen = target(format)
     if row.origin == "fit":
         from fitter.fitting import FitResult  # takes a second, and only here
 
-        found = subject(FitResult.from_dict(here.results.read(row.id)))
+        found = subject(FitResult.from_dict(here.service.results.read(row.id)))
     else:
         found = subject(fitter.models.from_dict(row.document), name=row.name)
     return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
@@ -190,19 +195,20 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
     return {**described, "values_schema": schema}
 
 
-def _row(here: Service, id: str) -> ModelRow:
-    row = here.store.get(ModelRow, id)
-    if row is None:
-        raise Problem.not_found("model", id)
-    return row
-
-
-def _model(here: Service, id: str) -> Any:
-    return fitter.models.from_dict(_row(here, id).document)
+def _model(here: Mine, id: str) -> Any:
+    return here.service.models.open(here.get(ModelRow, id))
 
 
 def _padded(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) with the last one repeated up to the bucket's size."""
     count = max(SMALLEST_BUCKET, 1 << (len(wi) - 1).bit_length())
-    more = ((0, count - len(wi)), (0, 0))
-    return np.pad(wi, more, mode="edge"), np.pad(wo, more, mode="edge")
+    return _stretched(wi, count), _stretched(wo, count)
+
+
+def _stretched(w: FloatArray, count: int) -> FloatArray:
+    # Memory that begins where JAX wants it is used as it is; other it copies once more.
+    room = np.empty(3 * count + ALIGNMENT // 8)
+    start = -room.ctypes.data % ALIGNMENT // 8
+    stretched = room[start : start + 3 * count].reshape(count, 3)
+    stretched[: len(w)], stretched[len(w) :] = w, w[-1]
+    return stretched

@@ -14,24 +14,24 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import fitter
 from api import documents, schemas
+from api.access import Here, Mine
 from api.blobs import Incoming
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
 from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
-from api.routes import Limit, Offset, problems
+from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
-from api.service import Here, Service
-from api.store import InUse, Missing, new_id
-from api.tables import parse
+from api.store import InUse, Missing
 from fitter import directions
 from fitter.documents import dumps
 from fitter.export import subject, target
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, Treatment, read_options
+from fitter.quality import overview
 from fitter.table import Quantity
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
@@ -75,7 +75,7 @@ async def upload(
     """
     given = {**reading.model_dump(), "columns": _columns(reading.columns)}
     options = read_options(given)
-    with here.blobs.incoming(here.settings.max_upload_bytes) as incoming:
+    with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
         content_type = request.headers.get("content-type", "")
         if content_type.lower().startswith("multipart/form-data"):
             form = FileForm(content_type, incoming.write)
@@ -85,8 +85,10 @@ async def upload(
                 options = read_options({**given, "name": form.filename})
         else:
             await _receive(request, incoming.write)
-        row = await to_thread.run_sync(_keep, here, incoming, options)
-    here.metrics.upload(row.size)
+        # Who waits for a reader waits here and not in a thread: threads are for those who are at work.
+        parsers = here.service.parsers
+        row = await to_thread.run_sync(_keep, here, incoming, options, limiter=parsers.limiter)
+    here.service.metrics.upload(row.size)
     response.headers["Location"] = f"/v1/tables/{row.id}"
     return documents.table(row)
 
@@ -103,18 +105,24 @@ async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
         await to_thread.run_sync(sink, bytes(waiting))
 
 
-def _keep(here: Service, incoming: Incoming, options: ReadOptions) -> TableRow:
+def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     """Parse what came; only what is a table becomes a blob and a row."""
+    before = here.made_before(TableRow)
+    if before is not None:
+        return before
     sha256 = incoming.finish()
-    table = parse(incoming.path.read_bytes(), options.to_dict())
+    found = here.service.parsers.parse(incoming.path, options.to_dict())
     incoming.pack()
     row = TableRow(
-        id=new_id(), created=time.time(), name=(table.metadata.name or options.name or sha256[:12])[:255],
-        sha256=sha256, size=incoming.size, options=options.to_dict(), description=describe(table),
+        id=here.new_id(), created=time.time(), owner=here.caller.owner,
+        name=(found.name or options.name or sha256[:12])[:255],
+        sha256=sha256, size=incoming.size, options=options.to_dict(), description=found.description,
     )  # fmt: skip
-    with here.blobs.lock:
-        here.blobs.keep(incoming, sha256)
-        here.store.add(row)
+    # Outside first, because it may take long; inside there is nothing to do then, or nearly always.
+    here.service.blobs.keep(incoming, sha256)
+    with here.service.store.guarding():
+        here.service.blobs.keep(incoming, sha256)
+        here.service.store.add(row)
     return row
 
 
@@ -131,17 +139,42 @@ def _columns(text: str | None) -> dict[str, Any] | None:
     return found
 
 
+@router.post(
+    "/{id}/readings", status_code=201, response_model=schemas.TableDocument,
+    responses=problems(404, 422),
+)  # fmt: skip
+async def read_again(
+    id: str, response: Response, here: Here, reading: Annotated[ReadingOptions, Query()]
+) -> dict[str, Any]:
+    """Read a table's bytes once more, with other options: another table, without another upload.
+
+    Options that are not given are those of the table.
+    """
+    given = reading.model_dump(exclude_unset=True)
+    if "columns" in given:
+        given["columns"] = _columns(reading.columns)
+    row = await to_thread.run_sync(here.get, TableRow, id)
+    options = read_options({**row.options, **given})
+    with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
+        await to_thread.run_sync(lambda: incoming.write(here.service.blobs.read(row.sha256)))
+        made = await to_thread.run_sync(_keep, here, incoming, options, limiter=here.service.parsers.limiter)
+    response.headers["Location"] = f"/v1/tables/{made.id}"
+    return documents.table(made)
+
+
 @router.get("", response_model=schemas.Page[schemas.TableDocument], responses=problems(422))
-def tables(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def tables(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The uploaded tables, newest first."""
-    rows, total = here.store.page(TableRow, limit, offset)
-    return documents.page([documents.table(row) for row in rows], total, limit, offset)
+    rows, total = here.page(TableRow, limit, offset)
+    return page(request, response, [documents.table(row) for row in rows], total, limit, offset)
 
 
 @router.get("/{id}", response_model=schemas.TableDocument, responses=problems(404, 422))
 def table(id: str, here: Here) -> dict[str, Any]:
     """What a table's bytes were read as."""
-    return documents.table(_row(here, id))
+    return documents.table(here.get(TableRow, id))
 
 
 @router.delete("/{id}", status_code=204, responses=problems(404, 409, 422))
@@ -150,11 +183,12 @@ def delete(id: str, here: Here) -> Response:
 
     Finished fits and posteriors stay, with what they say of the table. 409 while a job needs it.
     """
+    here.get(TableRow, id)
     try:
-        with here.blobs.lock:
-            unused = here.store.delete_table(id)
+        with here.service.store.guarding():
+            unused = here.service.store.delete_table(id)
             if unused is not None:
-                here.blobs.drop(unused)
+                here.service.blobs.drop(unused)
     except Missing as error:
         raise Problem.not_found("table", id) from error
     except InUse as error:
@@ -175,8 +209,8 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 
     As `.npy` the answer is a structured array with the fields `value` (C,) and `extrapolated`.
     """
-    opened = here.tables.open(_row(here, id))
-    wi, wo = read_pairs(request, body, here.settings.max_pairs)
+    opened = here.service.tables.open(here.get(TableRow, id))
+    wi, wo = read_pairs(request, body, here.service.settings.max_pairs)
     values, extrapolated = opened.table.evaluate(wi, wo)
     array = np.zeros(len(values), [("value", np.float64, values.shape[1:]), ("extrapolated", np.bool_)])
     array["value"], array["extrapolated"] = values, extrapolated
@@ -193,18 +227,26 @@ def evaluate(id: str, request: Request, body: Body, here: Here) -> Response:
 def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here: Here) -> Response:
     """Directions drawn from the raw table, exactly proportional to f_r cos(theta_o); or pairs of directions,
     proportional to f_r cos(theta_i) cos(theta_o)."""
-    row = _row(here, id)
+    row = here.get(TableRow, id)
     if wanted.wi is None:
-        limited(wanted.n, here.settings.max_draws)
+        limited(wanted.n, here.service.settings.max_draws)
         wi = None
     else:
-        wi = checked_draws(wanted.wi, wanted.n, here.settings.max_draws)
-    opened = here.tables.open(row)
+        wi = checked_draws(wanted.wi, wanted.n, here.service.settings.max_draws)
+    opened = here.service.tables.open(row)
     drawn, slices = opened.sample(
         wi, wanted.n, wanted.seed, weights=wanted.weights, method=wanted.method,
         max_evaluations=wanted.max_evaluations, allow_extrapolated=wanted.allow_extrapolated,
     )  # fmt: skip
     return respond_samples(request, drawn, _channels(opened.table), slices)
+
+
+@router.get("/{id}/info", response_model=schemas.InfoDocument, responses=problems(404, 422))
+def info(id: str, here: Here) -> Response:
+    """What a table's bytes were read as, its noise and its blind spots, as `brdf-fitter info --json`."""
+    found = here.service.tables.open(here.get(TableRow, id)).table
+    document = {"kind": "brdf-fitter/table", **describe(found), **overview(found)}
+    return Response(dumps(document), media_type="application/json")
 
 
 @router.get("/{id}/check", response_model=schemas.CheckDocument, responses=problems(404, 422))
@@ -213,7 +255,7 @@ def check(id: str, here: Here, seed: Annotated[int, Query(ge=0, lt=2**63)] = 0) 
 
     Large grids are judged by a subset drawn with `seed`: the same seed gives the same findings.
     """
-    found = fitter.check(here.tables.open(_row(here, id)).table, seed=seed)
+    found = fitter.check(here.service.tables.open(here.get(TableRow, id)).table, seed=seed)
     return Response(dumps(found.to_dict()), media_type="application/json")
 
 
@@ -226,7 +268,7 @@ def picture(id: str, here: Here) -> Response:
     from fitter.report.portrait import portrait  # matplotlib takes half a second, and only here
     from fitter.report.portrait_figure import draw, png
 
-    found = portrait(here.tables.open(_row(here, id)).table)
+    found = portrait(here.service.tables.open(here.get(TableRow, id)).table)
     return Response(png(draw(found)), media_type="image/png")
 
 
@@ -236,8 +278,8 @@ def picture(id: str, here: Here) -> Response:
 )  # fmt: skip
 def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
     """The table as a file of another program; `/v1/export-targets` lists the formats."""
-    row = _row(here, id)
-    found = subject(here.tables.open(row).table, name=row.name)
+    row = here.get(TableRow, id)
+    found = subject(here.service.tables.open(row).table, name=row.name)
     return respond_export(found, target(format).name, channels=channels)
 
 
@@ -250,7 +292,7 @@ def slices(
     n: Annotated[int, Query(ge=2, le=10_000, description="directions, from -89.5 to 89.5 degrees")] = 180,
 ) -> Response:
     """In-plane slice of the interpolant at one incidence; theta_o is positive on the specular side."""
-    found = here.tables.open(_row(here, id)).table
+    found = here.service.tables.open(here.get(TableRow, id)).table
     theta_o = np.linspace(-89.5, 89.5, n)
     incident = directions.vector_from_spherical(np.deg2rad(theta_i_deg), np.deg2rad(phi_i_deg))
     # The specular side is half a turn from the incident azimuth.
@@ -261,13 +303,6 @@ def slices(
         "theta_o_deg": theta_o, "values": values, "extrapolated": extrapolated,
     }  # fmt: skip
     return Response(dumps(document), media_type="application/json")
-
-
-def _row(here: Service, id: str) -> TableRow:
-    row = here.store.get(TableRow, id)
-    if row is None:
-        raise Problem.not_found("table", id)
-    return row
 
 
 def _channels(found: fitter.Table) -> list[str]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
-from api.problems import Problem
-from api.routes import Limit, Offset, problems
-from api.routes.fits import start
+from api.access import Here, Mine
+from api.routes import Limit, Offset, page, problems
 from api.rows import TradeoffRow
-from api.service import Here, Service
+from api.starting import Prefer, answers, started
 from fitter.documents import dumps
 from fitter.fitting import check
 from fitter.spec import FitSpec, tradeoff_spec
@@ -21,33 +20,41 @@ router = APIRouter(prefix="/v1", tags=["tradeoffs"])
 
 @router.post(
     "/tradeoffs", status_code=202, response_model=schemas.JobDocument,
-    responses=problems(400, 404, 413, 422, 429),
+    responses=answers(400, 404, 413, 422, 429),
 )  # fmt: skip
-def start_tradeoff(wanted: schemas.TradeoffRequest, here: Here, response: Response) -> dict[str, Any]:
+async def start_tradeoff(
+    wanted: schemas.TradeoffRequest, here: Here, response: Response, prefer: Prefer = None
+) -> dict[str, Any]:
     """Measure error against seconds and memory for models of a table. The answer is a job.
 
     It takes about `time_limit_seconds`, and has the machine to itself only if nothing else runs: the noise of
     the seconds is part of the result.
     """
-    spec = tradeoff_spec(wanted.model_dump(mode="json", exclude={"table"}, exclude_unset=True))
-    for model in spec.models:
-        check(FitSpec(model=model, metric=spec.metric, select=spec.select))
-    return start(here, response, "tradeoff", wanted.table, {"spec": spec.model_dump(mode="json")})
+
+    def prepare() -> tuple[str, dict[str, Any]]:
+        spec = tradeoff_spec(wanted.model_dump(mode="json", exclude={"table"}, exclude_unset=True))
+        for model in spec.models:
+            check(FitSpec(model=model, metric=spec.metric, select=spec.select))
+        return wanted.table, {"spec": spec.model_dump(mode="json")}
+
+    return await started(here, response, prefer, "tradeoff", prepare)
 
 
 @router.get("/tradeoffs", response_model=schemas.Page[schemas.TradeoffSummary], responses=problems(422))
-def tradeoffs(here: Here, limit: Limit = 50, offset: Offset = 0) -> dict[str, Any]:
+def tradeoffs(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
     """The finished tradeoffs, newest first."""
-    rows, total = here.store.page(TradeoffRow, limit, offset)
-    return documents.page([documents.tradeoff(row) for row in rows], total, limit, offset)
+    rows, total = here.page(TradeoffRow, limit, offset)
+    return page(request, response, [documents.tradeoff(row) for row in rows], total, limit, offset)
 
 
 @router.get("/tradeoffs/{id}", response_model=schemas.TradeoffDocument, responses=problems(404, 422))
 def tradeoff(id: str, here: Here) -> Response:
     """Every point, with its seconds, memory and errors."""
-    shown = documents.tradeoff(_row(here, id))
+    shown = documents.tradeoff(here.get(TradeoffRow, id))
     added = {"id": id, "links": shown["links"]}
-    return Response(dumps({**here.results.read(id), **added}), media_type="application/json")
+    return Response(dumps({**here.service.results.read(id), **added}), media_type="application/json")
 
 
 @router.get(
@@ -71,14 +78,7 @@ def picture(id: str, here: Here) -> Response:
     return Response(_drawn(here, id, "png"), media_type="image/png")
 
 
-def _row(here: Service, id: str) -> TradeoffRow:
-    row = here.store.get(TradeoffRow, id)
-    if row is None:
-        raise Problem.not_found("tradeoff", id)
-    return row
-
-
-def _drawn(here: Service, id: str, kind: str) -> bytes:
-    content = here.results.report(_row(here, id).id, kind)
+def _drawn(here: Mine, id: str, kind: str) -> bytes:
+    content = here.service.results.report(here.get(TradeoffRow, id).id, kind)
     assert content is not None  # written before the row was published
     return content

@@ -14,13 +14,14 @@ from typing import Any, NoReturn
 from fitter import __version__
 from fitter.cli.interrupt import Interrupt
 from fitter.cli.screen import WHEN, Screen
-from fitter.cli.verb import CALL_WRONG, DONE, INTERRUPTED, PIPE_CLOSED, WORK_FAILED, Verb
+from fitter.cli.verb import CALL_WRONG, DONE, INTERRUPTED, PIPE_CLOSED, WORK_FAILED, Outcome, Verb
 from fitter.errors import FitError, FitterError, SpecError
 
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
     "info", "check", "fit", "posterior", "calibrate", "report", "tradeoff", "compress", "decompress",
-    "convert", "export", "sample", "batch", "compare", "models", "datasets", "serve", "demo",
+    "convert", "export", "sample", "batch", "compare", "models", "datasets", "serve", "db", "keys", "gc",
+    "backup", "demo",
 )  # fmt: skip
 
 
@@ -57,6 +58,11 @@ def parser(chosen: str | None = None) -> argparse.ArgumentParser:
         "Exit status: 0 done, 1 the work failed, 2 the call or the input was wrong, 130 interrupted.",
         formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
     )  # fmt: skip
+    top.add_argument(
+        "--server", metavar="URL",
+        help="have a running service do the work of info, check, fit, posterior, report or sample; an API "
+        "key is taken from BRDF_FITTER_KEY",
+    )  # fmt: skip
     top.add_argument("--version", action="version", version=f"brdf-fitter {__version__}")
     verbs: Any = top.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=_Parser)
     for name, one in found.items():
@@ -85,12 +91,12 @@ def main(arguments: Sequence[str] | None = None, interrupt: Interrupt | None = N
     # The call itself may be what is wrong, and a program that asked for JSON still wants it then.
     screen = Screen(interrupt, json="--json" in words)
     try:
-        chosen = next((word for word in words if not word.startswith("-")), None)
+        chosen = _verb_in(words)
         options = parser(chosen).parse_args(words)
         screen = Screen(interrupt, json=options.json, progress=options.progress)
         # Whatever a library prints must not get between the document's bytes.
         with contextlib.redirect_stdout(sys.stderr):
-            outcome = verb(options.verb).run(options, screen)
+            outcome = _run(options, screen)
         if outcome is None:
             return DONE
         interrupt.check()
@@ -109,6 +115,24 @@ def main(arguments: Sequence[str] | None = None, interrupt: Interrupt | None = N
         return INTERRUPTED
     except Exception as error:
         return _failed(error, screen)
+
+
+def _verb_in(words: Sequence[str]) -> str | None:
+    """The verb that was asked for: the first word that is neither an option nor one's value."""
+    before = ["", *words[:-1]]
+    return next(
+        (word for last, word in zip(before, words, strict=False) if word[:1] != "-" and last != "--server"),
+        None,
+    )
+
+
+def _run(options: argparse.Namespace, screen: Screen) -> Outcome | None:
+    if options.server is None:
+        return verb(options.verb).run(options, screen)
+    # The service lives above the library, and so does what talks to it: imported at this edge only.
+    from api.remote import run
+
+    return run(options, screen, key=os.environ.get("BRDF_FITTER_KEY"))
 
 
 def entry() -> NoReturn:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -10,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import uvicorn
 
 from api.app import create_app
 from api.settings import Settings
@@ -56,13 +59,12 @@ def table_bytes() -> bytes:
     return small_table()
 
 
-@pytest.fixture
-def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
-    """Start a service with settings of one's own: ``serving(max_queue=1)``."""
+@contextlib.contextmanager
+def _services(folder: Path) -> Iterator[Callable[..., TestClient]]:
     opened: list[TestClient] = []
 
     def start(**settings: Any) -> TestClient:
-        client = TestClient(create_app(Settings(**{"folder": tmp_path / "data", **settings})))
+        client = TestClient(create_app(Settings(**{"folder": folder / "data", **settings})))
         client.__enter__()
         opened.append(client)
         return client
@@ -72,11 +74,55 @@ def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
         client.__exit__(None, None, None)
 
 
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
+    """Start a service with settings of one's own: ``serving(max_queue=1)``."""
+    with _services(tmp_path) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def serving_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., TestClient]]:
+    """The same, each in a folder of its own, for services that a module's tests share."""
+    with _services(tmp_path_factory.mktemp("shared")) as start:
+        yield lambda **settings: start(folder=tmp_path_factory.mktemp("data"), **settings)
+
+
 @pytest.fixture(scope="session")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     """One service for all tests that don't need their own."""
     with TestClient(create_app(Settings(folder=tmp_path_factory.mktemp("service")))) as opened:
         yield opened
+
+
+class _Quiet(uvicorn.Server):
+    """A server in a thread, which may not take signals."""
+
+    def capture_signals(self) -> Any:
+        return contextlib.nullcontext()
+
+
+@contextlib.contextmanager
+def listening(app: Any) -> Iterator[str]:
+    """The address of a started application, on a real socket."""
+    config = uvicorn.Config(app, port=0, lifespan="off", log_level="critical", ws="none", server_header=False)
+    server = _Quiet(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+        time.sleep(0.01)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    yield f"http://127.0.0.1:{port}"
+    server.should_exit = True
+    thread.join(30)
+
+
+@pytest.fixture(scope="session")
+def address(client: TestClient) -> Iterator[str]:
+    """That service on a real socket."""
+    with listening(client.app) as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,24 @@ from fitter.calibration import Calibration
 from fitter.fitting import FitResult
 
 
+def test_a_fit_may_have_a_budget(client: Any, table: str) -> None:
+    answer = client.post("/v1/fits", json={"table": table, "model": "oren_nayar", "budget_seconds": 5})
+    assert answer.status_code == 202, answer.text
+    assert answer.json()["request"]["specs"][0]["budget_seconds"] == 5
+    client.post(f"{answer.headers['location']}/cancel")
+
+
+def test_posteriors_have_limits(client: Any, fit: str) -> None:
+    for asked, parameter in (
+        ({"ensembles": 32, "walkers": 1024}, "walkers"), ({"keep": 1_000_000}, "keep"),
+        ({"budget_seconds": 80_000}, "budget_seconds"),
+    ):  # fmt: skip
+        for path, sent in (("/v1/posteriors", asked), ("/v1/calibrations", {"posterior": asked})):
+            answer = client.post(path, json={"fit": fit, **sent})
+            assert (answer.status_code, answer.json()["code"]) == (422, "beyond-limit")
+            assert answer.json()["parameter"] == parameter
+
+
 def test_job_holds_what_came_of_each_model(job: dict[str, Any]) -> None:
     assert job["state"] == "done"
     assert job["progress"]["share"] == 1

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from api.engine import InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
 from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, PosteriorRow, TableRow
@@ -17,13 +18,17 @@ from api.store import InUse, Missing, QueueFull, Store, new_id
 from api.work import Outcome
 from fitter.errors import FitError
 from fitter.progress import Progress
+from tests.api.databases import KINDS, database
+
+LEASE = 30.0
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    opened = Store(f"sqlite:///{tmp_path / 'rows.sqlite'}")
-    yield opened
-    opened.close()
+@pytest.fixture(params=KINDS)
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with database(request.param, tmp_path) as url:
+        opened = Store(url)
+        yield opened
+        opened.close()
 
 
 @pytest.fixture
@@ -62,7 +67,11 @@ class StandIn:
 
 
 def run(store: Store, work: Callable[[Progress], Outcome], threads: int = 1) -> Runner:
-    runner = Runner(store, StandIn(work), Metrics(), threads)  # type: ignore[arg-type]
+    return started(store, StandIn(work), threads)
+
+
+def started(store: Store, worker: StandIn, threads: int = 1) -> Runner:
+    runner = Runner(store, InProcess(store, worker), Metrics(), threads)  # type: ignore[arg-type]
     runner.start()
     return runner
 
@@ -114,7 +123,7 @@ def test_cancel(store: Store, kept: str) -> None:
     assert store.cancel(job.id).state == RUNNING
     until(lambda: state(store, job) == CANCELLED)
     runner.stop(5)
-    assert store.claim() is None
+    assert store.claim("here", LEASE) is None
 
 
 def test_graceful_stop_puts_the_job_back(store: Store, kept: str) -> None:
@@ -132,16 +141,16 @@ def test_graceful_stop_puts_the_job_back(store: Store, kept: str) -> None:
     assert runner.stop(20)
     row = store.get(JobRow, job.id)
     assert row is not None
-    assert (row.state, row.attempt) == (QUEUED, 0)
+    assert (row.state, row.attempt, row.losses) == (QUEUED, 1, 0)
 
 
 def test_dead_process_is_recovered_and_poison_given_up(store: Store, kept: str) -> None:
     job = queued(store, kept)
     for attempt in (1, 2, 3):
-        claimed = store.claim()
+        claimed = store.claim("here", LEASE)
         assert claimed is not None
         assert claimed.attempt == attempt
-        assert store.recover(3, EXHAUSTED) == (1 if attempt < 3 else 0)
+        assert store.recover(3, EXHAUSTED, everything=True) == (1 if attempt < 3 else 0)
     row = store.get(JobRow, job.id)
     assert row is not None
     assert row.state == FAILED
@@ -150,18 +159,18 @@ def test_dead_process_is_recovered_and_poison_given_up(store: Store, kept: str) 
 
 def test_cancelled_job_of_a_dead_process_is_not_run_again(store: Store, kept: str) -> None:
     job = queued(store, kept)
-    store.claim()
+    store.claim("here", LEASE)
     store.cancel(job.id)
-    assert store.recover(3, EXHAUSTED) == 0
+    assert store.recover(3, EXHAUSTED, everything=True) == 0
     assert state(store, job) == CANCELLED
 
 
 def test_late_result_of_an_old_attempt_is_not_published(store: Store, kept: str) -> None:
     job = queued(store, kept)
-    old = store.claim()
+    old = store.claim("here", LEASE)
     assert old is not None
-    store.recover(3, EXHAUSTED)
-    new = store.claim()
+    store.recover(3, EXHAUSTED, everything=True)
+    new = store.claim("here", LEASE)
     assert new is not None
     row = PosteriorRow(id=new_id(), created=0.0, fit_id="0" * 32, job_id=job.id, summary={})
     assert not store.publish(old, [row], [{"late": True}])
@@ -179,13 +188,12 @@ def test_unpublished_files_are_discarded(store: Store, kept: str) -> None:
     job = queued(store, kept)
 
     def overtaken(progress: Progress) -> Outcome:
-        store.recover(3, EXHAUSTED)
+        store.recover(3, EXHAUSTED, everything=True)
         store.cancel(job.id)
         return Outcome(rows=[JobRow(id=new_id())])
 
     worker = StandIn(overtaken)
-    runner = Runner(store, worker, Metrics(), 1)  # type: ignore[arg-type]
-    runner.start()
+    runner = started(store, worker)
     until(lambda: bool(worker.discarded))
     runner.stop(5)
     assert state(store, job) == CANCELLED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -17,21 +18,24 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = """
-import sys
+import json, sys
 from pathlib import Path
 from api.serve import serve
-serve(host="127.0.0.1", port=int(sys.argv[1]), folder=Path(sys.argv[2]), workers=1, log_level="warning")
+from api.settings import Settings
+settings = Settings(folder=Path(sys.argv[2]), **json.loads(sys.argv[3]))
+serve(settings, port=int(sys.argv[1]), log_level="warning")
 """
 
 
 class Server:
     """``serve`` in a process of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, **settings: Any) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
-        command = [sys.executable, "-c", RUN, str(port), str(folder)]
+        said = json.dumps({"workers": 1, **settings})
+        command = [sys.executable, "-c", RUN, str(port), str(folder), said]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         self.log = (folder.parent / "log").open("ab+")
         self.process = subprocess.Popen(command, env=environment, stderr=self.log, cwd=folder.parent)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from api.blobs import Blobs
+from api.storage import open_storage
 
 from .conftest import small_table
 
@@ -153,10 +154,10 @@ def test_same_bytes_are_one_blob_until_the_last_row_goes(serving: Callable[..., 
 @pytest.mark.parametrize("content", [b"0.25,0.5\n" * 1000, np.random.default_rng(0).bytes(5000), b"", b"x"])
 @pytest.mark.parametrize("before", [False, True])
 def test_bytes_come_back_as_they_came(tmp_path: Path, content: bytes, before: bool) -> None:
-    blobs = Blobs(tmp_path)
+    blobs = Blobs(open_storage(tmp_path), tmp_path)
     sha256 = hashlib.sha256(content).hexdigest()
     if before:  # one that is not packed, as earlier versions left them
-        (tmp_path / "blobs" / sha256[:2]).mkdir()
+        (tmp_path / "blobs" / sha256[:2]).mkdir(parents=True)
         (tmp_path / "blobs" / sha256[:2] / sha256).write_bytes(content)
     with blobs.incoming(1 << 20) as incoming:
         incoming.write(content)

@@ -38,7 +38,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         with screen.progress("check") as report:
             report(0.0, large.metadata.name)
             found.append(check(large, seed=given.seed))
-        return Outcome(found[0].to_dict(), lambda screen: _show(found[0], screen))
+        return Outcome(found[0].to_dict(), lambda screen: show_check(found[0], screen))
     with screen.progress("check") as report:
         tables = load_all(given.table, **reading.reading_options(given).to_dict())
         for k, table in enumerate(tables):
@@ -49,14 +49,15 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         for k, one in enumerate(found):
             if k:
                 screen.line()
-            _show(one, screen)
+            show_check(one, screen)
 
     if len(found) == 1:
         return Outcome(found[0].to_dict(), show)
     return Outcome({"kind": "brdf-fitter/checks", "checks": [one.to_dict() for one in found]}, show)
 
 
-def _show(found: Check, screen: Screen) -> None:
+def show_check(found: Check, screen: Screen) -> None:
+    """The findings, the most serious first."""
     samples = f"{found.samples:,} measured samples"
     if found.looked_at < found.samples:
         samples += f", {found.looked_at:,} of them looked at (seed {found.seed})"

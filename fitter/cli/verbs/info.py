@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +56,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         for k, one in enumerate(described):
             if k:
                 screen.line()
-            _show(one, screen)
+            show_table(one, screen)
 
     if len(described) == 1:
         return Outcome({"kind": "brdf-fitter/table", **described[0]}, show)
@@ -88,7 +88,8 @@ def _of_no_table(error: NoTable) -> Outcome:
     return Outcome(document, show)
 
 
-def _show(described: dict[str, Any], screen: Screen) -> None:
+def show_table(described: Mapping[str, Any], screen: Screen) -> None:
+    """What a table was read as, its noise and its blind spots."""
     drawn = ("channels", "peaks", "notes", "noise", "blind_spots")
     fields = {name: value for name, value in described.items() if name not in drawn}
     fields["quantity"] = f"{described['quantity']} ({_QUANTITIES[described['quantity']]})"
@@ -126,14 +127,18 @@ def _draw(tables: Sequence[Table], folder: Path, screen: Screen) -> list[Path]:
     with screen.progress("drawing") as progress:
         for k, table in enumerate(tables):
             progress(k / len(tables), table.metadata.name)
-            stem = re.sub(r"[^\w.+-]+", "_", table.metadata.name).strip("._")[:80] or "table"
-            name = stem
+            name = stem = file_stem(table.metadata.name)
             while name.lower() in taken:  # some file systems take A and a for one
                 name = f"{stem}-{len(taken) + 1}"
             taken.add(name.lower())
             paths.append(folder / f"{name}.png")
             write_bytes(png(draw(portrait(table))), paths[-1])
     return paths
+
+
+def file_stem(name: str) -> str:
+    """A table's name as that of a file."""
+    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:80] or "table"
 
 
 def _peak(peak: dict[str, float] | None) -> str:

@@ -14,7 +14,10 @@ from fitter.cli.verb import Outcome, Verb
 
 if TYPE_CHECKING:
     from fitter.posterior import Posterior
+    from fitter.spec import PosteriorSpec
 
+#: Settings that are one of a few words.
+CHOICES = ("noise", "likelihood", "angles", "draws")
 #: What each setting of a PosteriorSpec is, for --help. Its name, type, default and limits are the spec's.
 SETTINGS = {
     "degrees_of_freedom": "of student_t, whose scale is sigma; they are given, not inferred",
@@ -80,17 +83,22 @@ def _is_real(name: str) -> bool:
     return "float" in str(PosteriorSpec.model_fields[name].annotation)
 
 
+def posterior_asked(given: argparse.Namespace) -> PosteriorSpec:
+    """The settings that were given. Raises SpecError."""
+    from fitter.spec import posterior_spec
+
+    return posterior_spec({name: getattr(given, name) for name in (*CHOICES, *SETTINGS)})
+
+
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
     from fitter.cli.results import load_result
-    from fitter.spec import posterior_spec
 
     out = None if given.out is None else output_file(given.out)
     kept = None if given.checkpoint is None else Path(given.checkpoint)
     if kept is None and out is not None:
         kept = out.with_name(f"{out.name}.checkpoint")
-    asked = ("noise", "likelihood", "angles", "draws", *SETTINGS)
-    spec = posterior_spec({name: getattr(given, name) for name in asked})
+    spec = posterior_asked(given)
     start_numerics(screen)
     from fitter.posterior import sample
 

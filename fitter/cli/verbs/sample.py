@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,11 +68,9 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
     from fitter.cli.results import load_result
     from fitter.directions import vector_from_spherical
-    from fitter.sampling import moment
 
-    out = _checked(given)
-    angles: list[float] = given.theta_i or []
-    wi = vector_from_spherical(np.deg2rad(angles), np.deg2rad(given.phi_i))
+    out = checked(given)
+    wi = vector_from_spherical(np.deg2rad(given.theta_i or []), np.deg2rad(given.phi_i))
     start_numerics(screen)
     slices: list[dict[str, Any]] | None = None
     if given.model is not None:
@@ -93,6 +92,17 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
             slices = sampler.slices(wi, allow_extrapolated=given.extrapolate)
         channels = tuple(channel.name for channel in opened.table.channels)
         origin = {"table": opened.table.metadata.name, "path": given.table}
+    return outcome(given, drawn, channels, origin, slices, out)
+
+
+def outcome(
+    given: argparse.Namespace, drawn: Samples, channels: Sequence[str], origin: Mapping[str, Any],
+    slices: Sequence[Mapping[str, Any]] | None, out: Path | None,
+) -> Outcome:
+    """The draws in words and as a document, and in the file ``out``."""
+    from fitter.sampling import moment
+
+    angles: list[float] = given.theta_i or []
     found = [moment(part) for part in _by_incidence(drawn, max(len(angles), 1))]
     document: dict[str, Any] = {
         "kind": "brdf-fitter/samples",
@@ -161,7 +171,7 @@ def _finite(errors: Any) -> list[float | None]:
     return [None if e == float("inf") else float(e) for e in errors]
 
 
-def _checked(given: argparse.Namespace) -> Path | None:
+def checked(given: argparse.Namespace) -> Path | None:
     """The output file of a call that makes sense. Raises SpecError."""
     if (given.table is None) == (given.model is None):
         raise SpecError(
@@ -217,7 +227,7 @@ def _checked(given: argparse.Namespace) -> Path | None:
     return out
 
 
-def _write(drawn: Samples, channels: tuple[str, ...], path: Path) -> None:
+def _write(drawn: Samples, channels: Sequence[str], path: Path) -> None:
     import numpy as np
 
     from fitter.documents import write_bytes

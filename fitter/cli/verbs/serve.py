@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 from fitter.cli.screen import Screen
 from fitter.cli.values import output_folder
 from fitter.cli.verb import Verb
+from fitter.cli.verbs.db import database, place
+from fitter.cli.verbs.keys import guards
 from fitter.errors import FitError, SpecError
 
 
@@ -17,11 +20,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1, this machine only)"
     )
     parser.add_argument("--port", type=int, default=8000, help="port to listen on (default: 8000)")
-    parser.add_argument(
-        "--folder", default="brdf-fitter-data", metavar="DIR",
-        help="where tables, results and the database are kept (default: brdf-fitter-data)",
-    )  # fmt: skip
+    place(parser)
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="jobs at once (default: 2)")
+    parser.add_argument(
+        "--engine", choices=("threads", "dask"), default="threads",
+        help="what runs jobs: threads of the server (default), or the processes of a local Dask cluster",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask scheduler that runs, as tcp://host:8786, instead"
+    )
+    guards(parser)
 
 
 def run(given: argparse.Namespace, screen: Screen) -> None:
@@ -32,8 +40,16 @@ def run(given: argparse.Namespace, screen: Screen) -> None:
     folder = output_folder(given.folder, "folder")
     _check_address(given.host, given.port)
     # The service is the one part that lives above the library; nothing else here may import it.
+    from api.keys import are_needed
     from api.serve import serve
+    from api.settings import Settings
 
+    settings = Settings(
+        folder=Path(folder), database_url=database(given), storage=given.storage, workers=given.workers,
+        engine="dask" if given.scheduler else given.engine, scheduler=given.scheduler,
+        requests_per_second=given.requests_per_second, burst=given.burst,
+    )  # fmt: skip
+    settings = replace(settings, keys=are_needed(given.keys, given.host, settings.url))
     url = f"http://{given.host}:{given.port}"
     if screen.json:
         screen.document({"kind": "brdf-fitter/serving", "url": url, "folder": str(folder.resolve())})
@@ -41,7 +57,7 @@ def run(given: argparse.Namespace, screen: Screen) -> None:
         screen.line(f"serving {url} from {folder.resolve()}; stop with Ctrl-C")
         screen.stdout.flush()
     try:
-        serve(host=given.host, port=given.port, folder=Path(folder), workers=given.workers)
+        serve(settings, host=given.host, port=given.port)
     except KeyboardInterrupt:
         screen.note("stopped")  # that is how a server ends
     except SystemExit as end:

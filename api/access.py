@@ -1,0 +1,74 @@
+"""Access: the service as one caller sees it. Routes work with this: none can forget whose rows are whose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+from fastapi import Depends, Request
+from sqlalchemy import ColumnElement
+
+from api.keys import Caller
+from api.problems import Problem
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
+from api.service import Service
+from api.sessions import new_id
+
+_R = TypeVar("_R", bound=Row)
+_NOUNS: dict[type[Row], str] = {
+    TableRow: "table", JobRow: "job", ModelRow: "model", PosteriorRow: "posterior", TradeoffRow: "tradeoff",
+    CalibrationRow: "calibration",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Mine:
+    """What a caller may see and make.
+
+    made : the id of what a request makes that named itself (Idempotency-Key); None for others.
+    """
+
+    service: Service
+    caller: Caller
+    made: str | None = None
+
+    def find(self, kind: type[_R], id: str) -> _R | None:
+        """The row, None where there is none or it is another owner's."""
+        row = self.service.store.get(kind, id)
+        if row is None or not (self.caller.sees_all or row.owner == self.caller.owner):
+            return None
+        return row
+
+    def get(self, kind: type[_R], id: str, noun: str | None = None) -> _R:
+        """The row. Raises Problem (404)."""
+        row = self.find(kind, id)
+        if row is None:
+            raise Problem.not_found(noun or _NOUNS[kind], id)
+        return row
+
+    def page(
+        self, kind: type[_R], limit: int, offset: int, *where: ColumnElement[bool]
+    ) -> tuple[Sequence[_R], int]:
+        """Rows, newest first, and how many there are in all."""
+        whose = () if self.caller.sees_all else (kind.owner == self.caller.owner,)
+        return self.service.store.page(kind, limit, offset, *whose, *where)
+
+    def new_id(self) -> str:
+        """The id of what this request makes."""
+        return self.made or new_id()
+
+    def made_before(self, kind: type[_R]) -> _R | None:
+        """What an earlier attempt at this request made before it was cut off."""
+        return None if self.made is None else self.find(kind, self.made)
+
+
+def of_request(request: Request) -> Mine:
+    """The service as whoever sent the request sees it."""
+    state = request.state
+    return Mine(
+        request.app.state.service, getattr(state, "caller", Caller()), getattr(state, "made", None)
+    )  # fmt: skip
+
+
+Here = Annotated[Mine, Depends(of_request)]

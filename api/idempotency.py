@@ -1,0 +1,211 @@
+"""Idempotency: a POST that names itself (``Idempotency-Key``) makes what it makes once.
+
+The name is claimed in the database before the work begins, together with the id of what will be made; so an
+attempt that was cut off after it had made it, by a crash or on the wire, is found out by the next. Answers
+are kept for a day. Names belong to their owner: nobody learns what others use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from anyio import CancelScope, to_thread
+from sqlalchemy import delete, select, update
+from sqlalchemy.exc import IntegrityError
+from starlette.datastructures import Headers
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.guard import needed
+from api.keys import Caller
+from api.problems import Problem, answer
+from api.rows import IdempotencyRow
+from api.sessions import Now, Sessions, new_id
+
+#: Seconds that an answer is kept.
+KEPT = 86_400.0
+#: Seconds after which a request that has not been answered counts as cut off with its server.
+LEASE = 600.0
+#: Headers of an answer that are part of it.
+_HEADERS = ("content-type", "location", "preference-applied")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An answer from before."""
+
+    fingerprint: str
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+def claim(store: Sessions, owner: str, key: str) -> str | Kept | None:
+    """The id for what the request makes where it is to be worked on, the answer where there is one, None
+    where somebody else works on it."""
+    try:
+        return _claim(store, owner, key)
+    except IntegrityError:  # two at once: the other was first
+        return _claim(store, owner, key)
+
+
+def _claim(store: Sessions, owner: str, key: str) -> str | Kept | None:
+    with store.writing() as session:
+        session.execute(delete(IdempotencyRow).where(IdempotencyRow.created < time.time() - KEPT))
+        now = session.scalar(select(Now())) or 0.0
+        row = session.get(IdempotencyRow, (owner, key), with_for_update=True)
+        if row is None:
+            row = IdempotencyRow(
+                owner=owner, key=key, created=time.time(), made=new_id(), lease=now + LEASE
+            )  # fmt: skip
+            session.add(row)
+        elif row.status is not None:
+            return Kept(row.fingerprint or "", row.status, row.headers or {}, row.body or b"")
+        elif row.lease >= now:
+            return None
+        else:
+            row.lease = now + LEASE
+        return row.made
+
+
+def keep(store: Sessions, owner: str, key: str, kept: Kept) -> None:
+    """The request is answered."""
+    with store.writing() as session:
+        session.execute(
+            update(IdempotencyRow).where(IdempotencyRow.owner == owner, IdempotencyRow.key == key)
+            .values(
+                fingerprint=kept.fingerprint, status=kept.status, headers=dict(kept.headers), body=kept.body
+            )
+        )  # fmt: skip
+
+
+def release(store: Sessions, owner: str, key: str, *, forget: bool) -> None:
+    """The request came to nothing: forget it, or let its next attempt go on with the same id."""
+    mine = (IdempotencyRow.owner == owner, IdempotencyRow.key == key, IdempotencyRow.status.is_(None))
+    with store.writing() as session:
+        session.execute(
+            delete(IdempotencyRow).where(*mine) if forget
+            else update(IdempotencyRow).where(*mine).values(lease=0.0)
+        )  # fmt: skip
+
+
+class Idempotent:
+    """Middleware for POSTs that make something."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        key = Headers(scope=scope).get("idempotency-key") if scope["type"] == "http" else None
+        if key is None or scope["method"] != "POST" or needed("POST", scope["path"]) == "read":
+            await self._app(scope, receive, send)
+            return
+        store: Sessions = scope["app"].state.service.store
+        caller: Caller = scope["state"]["caller"]
+        body = _Hashed(scope, receive)
+        try:
+            if not 1 <= len(key) <= 255 or not key.isprintable():
+                raise Problem.invalid(
+                    "bad-idempotency-key", "the Idempotency-Key is empty, too long or unprintable",
+                    parameter="Idempotency-Key", remedy="give a text of 1 to 255 characters, as a UUID",
+                )  # fmt: skip
+            found = await to_thread.run_sync(claim, store, caller.owner, key)
+            if found is None:
+                raise Problem(
+                    409, "in-flight", "a request with this Idempotency-Key is being worked on",
+                    headers={"Retry-After": "1"}, remedy="ask again in a moment",
+                )  # fmt: skip
+            if isinstance(found, Kept) and await body.rest() != found.fingerprint:
+                raise Problem.invalid(
+                    "idempotency-key-reused", "this Idempotency-Key was used for another request",
+                    parameter="Idempotency-Key", remedy="give each request a key of its own",
+                )  # fmt: skip
+        except Problem as problem:
+            await answer(problem, scope)(scope, receive, send)
+            return
+        except ClientDisconnect:
+            return
+        if isinstance(found, Kept):
+            await _replay(found, send)
+            return
+        scope["state"]["made"] = found
+        await self._work(store, caller.owner, key, body, scope, send)
+
+    async def _work(
+        self, store: Sessions, owner: str, key: str, body: _Hashed, scope: Scope, send: Send
+    ) -> None:
+        """Let the request be answered, and keep the answer before it is sent."""
+        start: Message | None = None
+        content = bytearray()
+        done = False
+
+        async def kept(message: Message) -> None:
+            nonlocal start, done
+            if message["type"] == "http.response.start":
+                start = message
+                return
+            assert start is not None
+            content.extend(message.get("body", b""))
+            if message.get("more_body", False):
+                return
+            done = True
+            if 200 <= start["status"] < 300:
+                headers = Headers(raw=start["headers"])
+                shown = {name: headers[name] for name in _HEADERS if name in headers}
+                answered = Kept(await body.rest(), start["status"], shown, bytes(content))
+                await to_thread.run_sync(keep, store, owner, key, answered)
+            else:
+                await to_thread.run_sync(
+                    lambda: release(store, owner, key, forget=start is not None and start["status"] < 500)
+                )
+            await send(start)
+            await send({**message, "body": bytes(content)})
+
+        try:
+            await self._app(scope, body.receive, kept)
+        finally:
+            if not done:
+                with CancelScope(shield=True):
+                    await to_thread.run_sync(lambda: release(store, owner, key, forget=False))
+
+
+class _Hashed:
+    """A request's fingerprint, from its body as it passes."""
+
+    def __init__(self, scope: Scope, receive: Receive) -> None:
+        self._receive = receive
+        self._ended = False
+        self._digest = hashlib.sha256()
+        headers = Headers(scope=scope)
+        for part in (scope["path"], scope["query_string"].decode("latin-1"), headers.get("content-type", "")):
+            self._digest.update(f"{len(part)}:{part}".encode())
+
+    async def receive(self) -> Message:
+        message = await self._receive()
+        if message["type"] == "http.request":
+            self._digest.update(message.get("body", b""))
+            self._ended = not message.get("more_body", False)
+        return message
+
+    async def rest(self) -> str:
+        """Read what nobody has read yet; the fingerprint. Raises ClientDisconnect."""
+        while not self._ended:
+            if (await self.receive())["type"] == "http.disconnect":
+                raise ClientDisconnect
+        return self._digest.hexdigest()
+
+
+async def _replay(found: Kept, send: Send) -> None:
+    headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in found.headers.items()]
+    headers += [(b"content-length", str(len(found.body)).encode()), (b"idempotency-replayed", b"true")]
+    await send({"type": "http.response.start", "status": found.status, "headers": headers})
+    await send({"type": "http.response.body", "body": found.body})
+
+
+def reset(store: Sessions) -> None:
+    """What a dead server was at may be taken up at once. Only for a database's one server, at start."""
+    with store.writing() as session:
+        session.execute(update(IdempotencyRow).where(IdempotencyRow.status.is_(None)).values(lease=0.0))

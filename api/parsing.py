@@ -1,0 +1,137 @@
+"""Parsing: uploads are read in processes of their own, with limits on memory and time.
+
+Whatever a file does to its reader, it does to that process. One is forked for each upload, in some ten
+milliseconds, from a server process that has the readers loaded and nothing else: no threads, no JAX, no data.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import resource
+import sys
+import traceback
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import orjson
+from anyio import CapacityLimiter
+
+from api.problems import Problem, of_fitter_error
+from fitter.errors import FitterError, SpecError
+
+_log = logging.getLogger("brdf_fitter.api")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one upload: memory that reading it may take, seconds, samples and channels it may have."""
+
+    bytes: int
+    seconds: float
+    samples: int
+    channels: int
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """What an upload is: its own name, and the description of the table."""
+
+    name: str
+    description: dict[str, Any]
+
+
+class Parsers:
+    """Reads uploads, ``at_once`` at a time: who calls :meth:`parse` in a thread takes it with ``limiter``."""
+
+    def __init__(self, at_once: int, limits: Limits) -> None:
+        self._limits = limits
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload([__name__, "api.readers"])
+        self.limiter = CapacityLimiter(at_once)
+
+    def parse(self, path: Path, options: dict[str, Any]) -> Parsed:
+        """Read the file at ``path``. Raises Problem: the file's fault, or 500 where it is ours."""
+        receiver, sender = self._context.Pipe(duplex=False)
+        process = self._context.Process(
+            target=_read, args=(sender, str(path), options, self._limits), daemon=True
+        )
+        process.start()
+        sender.close()
+        try:
+            # JSON, not pickles: what comes out of there is made by what may be a hostile file's code by now.
+            found: Any = orjson.loads(receiver.recv_bytes()) if receiver.poll(self._limits.seconds) else None
+        except EOFError:
+            process.join()
+            found = {"died": process.exitcode}
+        finally:
+            receiver.close()
+            process.kill()
+            process.join()
+            process.close()
+        if found is None:
+            raise _refused("reading-takes-too-long", f"reading it takes more than {self._limits.seconds:g} s")
+        if "problem" in found:
+            raise Problem.of_document(found["problem"])
+        if "memory" in found:
+            raise _refused("reading-takes-too-much", f"reading it takes more than {self._limits.bytes} bytes")
+        if "died" in found:
+            _log.warning("an upload ended its reader (exit code %s)", found["died"])
+            raise _refused("reading-fails", "its reader did not survive it")
+        if "bug" in found:
+            _log.error("an upload can't be read because of a mistake in its reader:\n%s", found["bug"])
+            raise RuntimeError("a reader failed")
+        return Parsed(found["name"], found["description"])
+
+
+def _refused(code: str, detail: str) -> Problem:
+    return Problem.invalid(
+        code, detail, cause="the file is damaged, or made to do that, or larger than it seems",
+        remedy="send a smaller table, or have the server's operator raise the limit",
+    )  # fmt: skip
+
+
+def _read(sender: Connection, path: str, options: dict[str, Any], limits: Limits) -> None:
+    """The process: read, and say what came of it."""
+    _limit(limits)
+    try:
+        found = _described(Path(path), options, limits)
+    except FitterError as error:
+        found = {"problem": of_fitter_error(error)}
+    except MemoryError:
+        found = {"memory": limits.bytes}
+    except Exception as error:
+        # Libraries have memory errors of their own.
+        memory = "memory" in type(error).__name__.lower() or isinstance(error.__cause__, MemoryError)
+        found = {"memory": limits.bytes} if memory else {"bug": traceback.format_exc()}
+    with contextlib.suppress(BrokenPipeError):
+        sender.send_bytes(orjson.dumps(found, option=orjson.OPT_SERIALIZE_NUMPY))
+
+
+def _described(path: Path, options: dict[str, Any], limits: Limits) -> dict[str, Any]:
+    from api.readers import describe, parse
+
+    table = parse(path.read_bytes(), options)
+    samples, channels = table.value.shape
+    for count, most, noun in ((samples, limits.samples, "samples"), (channels, limits.channels, "channels")):
+        if count > most:
+            raise SpecError(
+                f"the table has {count} {noun}, more than the limit of {most}", code=f"too-many-{noun}",
+                remedy="send a part of it, or have the server's operator raise the limit",
+            )  # fmt: skip
+    return {"name": table.metadata.name, "description": describe(table)}
+
+
+def _limit(limits: Limits) -> None:
+    """No more memory than the limits say on top of what the process has, and no core dumps."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if sys.platform == "linux":
+        # Private memory, as the kernel counts it: libraries reserve addresses that they never use.
+        pages = int(Path("/proc/self/statm").read_text().split()[5])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + limits.bytes
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+

@@ -1,0 +1,16 @@
+"""Readers: what the fork server of :mod:`api.parsing` loads, so that no upload waits for it."""
+
+from __future__ import annotations
+
+import importlib
+
+from api.tables import parse
+from fitter.formats.describe import describe
+from fitter.formats.registry import formats
+
+__all__ = ["describe", "parse"]
+
+formats()
+# Libraries that a format loads when it meets a file of its own.
+for _name in ("pyarrow.csv", "pyarrow.parquet", "OpenEXR", "pyfive", "numpy.ma", "encodings.utf_8_sig"):
+    importlib.import_module(_name)

@@ -1,0 +1,168 @@
+"""The HTTP service over loopback, in a process of its own: evaluation, uploads, 64 clients at once."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+import fitter
+from api.client import Client, Refused, ServiceFailed
+from fitter import datasets
+from tests.bench.machine import ROOT
+from tests.bench.measuring import Figure, Row, Size, alternate
+
+SEED = 9
+#: Of these at once; each asks for one thing after the other.
+CLIENTS, SECONDS = 64, 60.0
+
+
+@contextmanager
+def served(folder: Path) -> Generator[tuple[str, psutil.Process]]:
+    """A server's address and process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = [sys.executable, "-m", "fitter", "serve", "--port", str(port), "--folder", str(folder / "data")]
+    log = (folder / "log").open("wb")
+    process = subprocess.Popen(
+        words, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=log, stderr=log, cwd=folder
+    )
+    url = f"http://127.0.0.1:{port}"
+    try:
+        with Client(url) as client:
+            for _ in range(100):
+                try:
+                    client.request("GET", "/readyz")
+                    break
+                except ServiceFailed:
+                    if process.poll() is not None:
+                        raise
+        yield url, psutil.Process(process.pid)
+    finally:
+        process.terminate()
+        process.wait(60)
+        log.close()
+
+
+def run(size: Size) -> Iterator[Row]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with served(folder) as (url, process), Client(url) as client:
+            yield _evaluation(client, size)
+            yield _upload(client, folder, size)
+            yield _load(url, process, size)
+
+
+def _evaluation(client: Client, size: Size) -> Row:
+    rng = np.random.default_rng(SEED)
+    pairs = rng.normal(size=(2, size.pick(100_000, 1000), 3))
+    pairs[..., 2] = np.abs(pairs[..., 2]) + 0.05
+    wi, wo = pairs / np.linalg.norm(pairs, axis=-1, keepdims=True)
+    values = {"kd": [0.1, 0.2, 0.3], "ks": 0.05, "alpha": 0.2}
+    model = fitter.models.create("ward", **values)
+    id = client.create_model("ward", **values).id
+    times = alternate(
+        {
+            "served": lambda: client.evaluate("models", id, wi, wo),
+            "bare": lambda: np.asarray(model.evaluate(wi, wo)),
+        },
+        size.pick(30, 3),
+    )
+    assert np.array_equal(times["served"].result, times["bare"].result)
+    return Row(
+        case=f"evaluate {len(wi):,} pairs of a Ward model over HTTP, binary",
+        ours=times["served"].seconds("POST /v1/models/ID/evaluate"),
+        others=(times["bare"].seconds("floor: the bare library call"),),
+        seed=SEED,
+    )
+
+
+def _upload(client: Client, folder: Path, size: Size) -> Row:
+    n = size.pick((90, 90, 180), (10, 10, 20))
+    rng = np.random.default_rng(SEED)
+    content = struct.pack("<3i", *n) + rng.lognormal(-1, 1, 3 * n[0] * n[1] * n[2]).tobytes()
+
+    def write() -> None:
+        with (folder / "plain").open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+
+    times = alternate({"served": lambda: client.upload(content), "write": write}, size.pick(7, 2))
+    return Row(
+        case=f"upload a MERL file of {len(content) / 1e6:.0f} MB",
+        ours=times["served"].rate("POST /v1/tables, B/s", len(content)),
+        others=(times["write"].rate("floor: writing it to the disk, B/s", len(content)),),
+        facts={"bytes": len(content)},
+        seed=SEED,
+    )
+
+
+def _load(url: str, process: psutil.Process, size: Size) -> Row:
+    """Clients that upload, evaluate and fit: what was answered, what was lost, and the server's memory."""
+    clients, seconds = size.pick(CLIENTS, 4), size.pick(SECONDS, 2.0)
+    answered: Counter[str] = Counter()
+    failures: list[str] = []
+    jobs: list[str] = []
+    lock = threading.Lock()
+    memory = [process.memory_info().rss]
+    end = time.monotonic() + seconds
+    content = datasets.sample("diffuse_plaster").read_bytes()
+
+    def one(k: int) -> None:
+        rng = random.Random(SEED + k)
+        wi, wo = np.array([[0.6, 0.0, 0.8]]), np.tile([[0.0, 0.6, 0.8]], (1000, 1))
+        with Client(url) as client:
+            model = client.create_model("ward", kd=0.1, ks=0.05, alpha=0.2).id
+            table = client.upload(content).id
+            while time.monotonic() < end:
+                what = rng.choices(("upload", "evaluate", "fit"), (2, 7, 1))[0]
+                try:
+                    if what == "upload":
+                        client.delete_table(client.upload(content).id)
+                    elif what == "evaluate":
+                        client.evaluate("models", model, wi, wo)
+                    else:
+                        started = client.start("fits", table=table, model="oren_nayar").id
+                        with lock:
+                            jobs.append(started)
+                except (Refused, ServiceFailed) as error:
+                    # A full queue is an answer, too; everything else is a failure.
+                    what = "queue full" if isinstance(error, Refused) and error.status == 429 else "failed"
+                    if what == "failed":
+                        failures.append(f"{type(error).__name__}: {error}")
+                with lock:
+                    answered[what] += 1
+                    memory.append(process.memory_info().rss)
+
+    threads = [threading.Thread(target=one, args=(k,)) for k in range(clients)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    with Client(url) as client:
+        states = Counter(client.wait(id).state for id in jobs)
+    assert not failures, failures[:3]
+    assert sum(states.values()) == len(jobs)
+    facts: dict[str, Any] = {
+        **answered, "server_errors": len(failures), "jobs": dict(states), "clients": clients,
+        "resident_bytes_before": memory[0], "resident_bytes_most": max(memory),
+    }  # fmt: skip
+    rate = sum(answered.values()) / seconds
+    figure = Figure("answers a second", "1/s", rate, rate, rate, 1)
+    return Row(f"{clients} clients for {seconds:.0f} s: uploads, evaluations, fits", figure, (), facts, SEED)

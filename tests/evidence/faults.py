@@ -1,0 +1,151 @@
+"""Faults: processes killed, a full disk and a database that is away, while fits and posteriors are in flight.
+
+A service of its own, as the command starts it, with a local Dask cluster; for PostgreSQL a cluster of its
+own, made by initdb and stopped for 10 s. Its folder is a small tmpfs, which is filled to the last byte; where
+there is no right to mount one the row says so. Clients believe only what they were answered.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from api.place import Place
+from tests.evidence import faults_check
+from tests.evidence.faults_load import Load
+from tests.evidence.faults_service import Postgres, Service, full, small_disk
+from tests.evidence.study import Outcome, Study
+
+#: Kills of a full run, on both databases together.
+KILLS = 100
+VICTIMS = ("worker", "scheduler", "server")
+#: Jobs in flight.
+PLACES = 6
+#: A kill comes when so many events told that work goes on again, or after so many seconds, and then at random
+#: within so many more.
+EVENTS, PATIENCE, PAUSE = 5, 45.0, 4.0
+#: Seconds that the disk is full; that PostgreSQL is away; that the last jobs may take.
+FULL, AWAY, LAST = 6.0, 10.0, 900.0
+
+
+def databases() -> Sequence[str]:
+    return ("sqlite", "postgresql")
+
+
+def judge(name: str, share: float, seed: int) -> Outcome:
+    """One database."""
+    kills = max(len(VICTIMS), round(KILLS * share / len(databases())))
+    random = np.random.default_rng([seed, name == "sqlite"])
+    home = Path(tempfile.mkdtemp(prefix="brdf-faults-"))
+    home.chmod(0o755)
+    postgres = Postgres(home / "postgres") if name == "postgresql" else None
+    try:
+        with small_disk(home / "data") as mounted:
+            service = Service(home / "data", home / "log", postgres.url if postgres else None)
+            try:
+                if postgres is not None:
+                    service.command("db", "upgrade")
+                figures, violations = _run(service, postgres, kills, random, seed, mounted=mounted)
+            finally:
+                service.close()
+    finally:
+        if postgres is not None:
+            postgres.stop()
+    if violations:
+        violations.append({"what": "the server's log is kept", "file": str(home / "log")})
+    else:
+        shutil.rmtree(home)
+    return Outcome(figures, violations)
+
+
+def _run(
+    service: Service, postgres: Postgres | None, kills: int, random: np.random.Generator, seed: int, *,
+    mounted: bool,
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:  # fmt: skip
+    service.start()
+    load = Load(service.url, seed, PLACES)
+    load.start()
+    # Every kind as often as the others, in any order; the disk and the database somewhere on the way.
+    order = [VICTIMS[k % len(VICTIMS)] for k in range(kills)]
+    random.shuffle(order)
+    others = [int(one) for one in random.integers(0, kills, 2)]
+    killed: Counter[str] = Counter()
+    load.until_fitted(PATIENCE * 4)
+    for number, kind in enumerate(order):
+        load.until_events(EVENTS, PATIENCE)
+        time.sleep(random.uniform(0.0, PAUSE))
+        if number == others[0] and mounted:
+            with full(service.folder):
+                time.sleep(FULL)
+        if number == others[1] and postgres is not None:
+            postgres.stop()
+            time.sleep(AWAY)
+            postgres.start()
+        _kill(service, kind, random)
+        killed[kind] += 1
+    late = load.stop(LAST)
+    url = service.url
+    place = _place(service, postgres)
+    ended, violations = faults_check.everything(load.accepted, url, place)
+    violations += [{"what": "a stream did not come to its end", "job": id} for id in late]
+    service.stop()
+    deleted = json.loads(service.command("gc", "--grace", "0", "--json").stdout)["deleted"]
+    violations += faults_check.orphans(place)
+    seen = load.accepted
+    figures: dict[str, Any] = {
+        **{f"{kind}s killed": killed[kind] for kind in VICTIMS},
+        "disk full, s": FULL if mounted else "not tried: no right to mount",
+        "database away, s": AWAY if postgres is not None else "a file",
+        "tables": len(seen.tables), "jobs": sum(ended.values()), "done": ended["done"],
+        "failed with a reason": sum(ended[f"failed: {code}"] for code in faults_check.REASONS),
+        "refused": ", ".join(f"{how} {count}" for how, count in sorted(seen.refused.items())) or "none",
+        "streams taken up again": seen.reconnected, "events": sum(len(one) for one in seen.jobs.values()),
+        "files that gc deleted": sum(deleted[one] for one in ("blobs", "results", "checkpoints", "uploads")),
+    }  # fmt: skip
+    return figures, violations
+
+
+def _kill(service: Service, kind: str, random: np.random.Generator) -> None:
+    """Kill one of a kind as soon as there is one; a killed server is started again, as by an operator."""
+    end = time.monotonic() + 120
+    while not (found := service.victims(kind)):
+        if time.monotonic() > end:
+            raise RuntimeError(f"no {kind} to kill")
+        time.sleep(0.02)
+    service.kill(found[int(random.integers(len(found)))])
+    if kind == "server":
+        service.start()
+
+
+def _place(service: Service, postgres: Postgres | None) -> Place:
+    url = postgres.url if postgres is not None else f"sqlite:///{service.folder / 'service.sqlite'}"
+    return Place(service.folder, url, str(service.folder))
+
+
+STUDY = Study(
+    name="faults",
+    title="Faults",
+    claim=(
+        "With fits and posteriors in flight: workers, schedulers and servers killed at random moments, "
+        f"{KILLS} times in all, the disk full for {FULL:g} s, PostgreSQL stopped for {AWAY:g} s. Afterwards "
+        "every job is published exactly once or failed with a reason, every accepted table is readable and "
+        "its hash right, no file is left that no row names, and every event stream came without a gap or a "
+        "repeat"
+    ),
+    columns=(
+        "workers killed", "schedulers killed", "servers killed", "disk full, s", "database away, s", "tables",
+        "jobs", "done", "failed with a reason", "refused", "streams taken up again", "events",
+        "files that gc deleted",
+    ),
+    models=databases,
+    judge=judge,
+    subject="database",
+)  # fmt: skip
