@@ -20,7 +20,7 @@ from fitter.errors import FitError, FitterError, SpecError
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
     "info", "check", "fit", "posterior", "calibrate", "report", "tradeoff", "compress", "decompress",
-    "convert", "sample", "models", "datasets", "serve", "demo",
+    "convert", "sample", "scene", "models", "datasets", "serve", "demo",
 )  # fmt: skip
 
 
