@@ -25,13 +25,16 @@ from fitter.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Settings:
-    """What a plan leaves of a scene. ``lamps`` : those that are lit; ``shadows`` : of those which shapes may
-    hide; ``samples`` : of each lamp with extent; ``direct`` : the materials for light that comes straight
-    from a lamp to what the camera sees, ``materials`` those for all else."""
+    """What a plan leaves of a scene.
+
+    samples, first, shadows : of each lamp how many samples (with extent), whether it lights what the camera
+    sees (reflections are lit by all), whether shapes may hide it. direct : the materials for light that comes
+    straight from a lamp to what the camera sees; materials : those for all else.
+    """
 
     bounces: int
     samples: tuple[int, ...]
-    lamps: tuple[int, ...]
+    first: tuple[bool, ...]
     shadows: tuple[bool, ...]
     direct: tuple[Material, ...]
     materials: tuple[Material, ...]
@@ -40,10 +43,13 @@ class Settings:
     def everything(scene: Scene) -> Settings:
         count = len(scene.lamps)
         return Settings(
-            bounces=scene.spec.bounces, samples=(scene.spec.light_samples,) * count,
-            lamps=tuple(range(count)), shadows=(True,) * count, direct=scene.materials,
-            materials=scene.materials,
+            bounces=scene.spec.bounces, samples=(scene.spec.light_samples,) * count, first=(True,) * count,
+            shadows=(True,) * count, direct=scene.materials, materials=scene.materials,
         )  # fmt: skip
+
+    def lit(self, depth: int) -> list[int]:
+        """The lamps that light surfaces at this depth."""
+        return [k for k, on in enumerate(self.first) if on or depth > 0]
 
 
 class Integrator:
@@ -65,35 +71,45 @@ class Integrator:
         self.basis, self.eye = cast(kernels.camera_basis(camera)), cast(np.array(camera.position))
         self.size = jnp.asarray([camera.width, camera.height])
 
+    def call(self, kernel: Any, *given: Any) -> Any:
+        """Run a kernel. Where operations are counted (:mod:`fitter.scene.operations`), its calls are, too."""
+        return kernel(*given)
+
     def batch(
-        self, pixel: NDArray[np.intp], rng: np.random.Generator
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Radiance (N, C) of one random ray through each pixel, and which met a shape (N,)."""
+        self, pixel: NDArray[np.intp], seed: tuple[int, ...]
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
+        """Radiance (N, C) of one random ray through each pixel, and which met a shape (N,).
+
+        What is drawn for one purpose does not depend on what else is drawn: pictures of other settings and
+        the same seed differ by their settings alone.
+        """
+        rng = _random(seed, 0, 0)
         u = jnp.asarray(rng.random((len(pixel), 2)), self.dtype)
-        o, d = kernels.camera_rays(self.basis, self.eye, self.size, jnp.asarray(pixel), u)
+        o, d = self.call(kernels.camera_rays, self.basis, self.eye, self.size, jnp.asarray(pixel), u)
         skip = jnp.full(len(pixel), -1)
-        hit = kernels.nearest(self.shapes, o, d, skip)
+        hit = self.call(kernels.nearest, self.shapes, o, d, skip)
         met = hit.primitive >= 0
-        total = self._seen(o, d, hit.t, None)
+        total = self._seen(o, d, hit.t, None, list(range(len(self.scene.lamps))))
         throughput = jnp.ones_like(total)
         for depth in range(self.settings.bounces + 1):
-            more, o, d, skip, throughput, drawn, hit_next = self._scatter(hit, d, throughput, depth, rng)
+            more, o, d, skip, throughput, drawn, hit_next = self._scatter(hit, d, throughput, depth, seed)
             total = total + more
             if drawn is None:
                 break
-            total = total + throughput * self._seen(o, d, hit_next.t, drawn)
+            total = total + throughput * self._seen(o, d, hit_next.t, drawn, self.settings.lit(depth))
             hit = hit_next
         return np.asarray(total), np.asarray(met)
 
-    def _seen(self, o: Array, d: Array, reach: Array, drawn: Drawn | None) -> Array:
+    def _seen(self, o: Array, d: Array, reach: Array, drawn: Drawn | None, lamps: list[int]) -> Array:
         """Radiance of the lamps that rays meet, weighted against having been sampled at the rays' start."""
         total = jnp.zeros((len(o), len(self.scene.spec.channels)), self.dtype)
-        for k, samples in zip(self.settings.lamps, self.settings.samples, strict=True):
-            one = self.scene.lamps[k]
+        for k in lamps:
+            one, samples = self.scene.lamps[k], self.settings.samples[k]
             if one.is_delta:
                 continue
             if one.kind == "area":
-                light, pdf = lights.seen_area(
+                light, pdf = self.call(
+                    lights.seen_area,
                     self.place[k],
                     self.frame[k],
                     self.half[k],
@@ -103,56 +119,67 @@ class Integrator:
                     reach,  # pyright: ignore[reportArgumentType]
                 )
             else:
-                light, pdf = lights.seen_sky(self.skies[k], d)
+                light, pdf = self.call(lights.seen_sky, self.skies[k], d)
                 light = jnp.where(jnp.isinf(reach)[:, None], light, 0.0)
             if drawn is not None:
                 light = (
-                    light * _share(jnp.asarray(drawn.pdf), pdf, samples, jnp.asarray(drawn.is_delta))[:, None]
+                    light
+                    * self.call(_share, jnp.asarray(drawn.pdf), pdf, samples, jnp.asarray(drawn.is_delta))[
+                        :, None
+                    ]
                 )
             total = total + light
         return total
 
     def _arriving(self, k: int, one: Lamp, point: Array, rng: np.random.Generator) -> Arriving:
         if one.kind == "directional":
-            return lights.from_directional(self.place[k], self.level[k], point)
+            return self.call(lights.from_directional, self.place[k], self.level[k], point)
         if one.kind == "point":
-            return lights.from_point(self.place[k], self.level[k], point)
+            return self.call(lights.from_point, self.place[k], self.level[k], point)
         u = jnp.asarray(rng.random((len(point), 2)), self.dtype)
         if one.kind == "area":
-            return lights.from_area(self.place[k], self.frame[k], self.half[k], self.level[k], point, u)  # pyright: ignore[reportArgumentType]
-        return lights.from_sky(self.skies[k], u)
+            return self.call(
+                lights.from_area, self.place[k], self.frame[k], self.half[k], self.level[k], point, u
+            )  # pyright: ignore[reportArgumentType]
+        return self.call(lights.from_sky, self.skies[k], u)
 
     def _scatter(
-        self, hit: Hit, d: Array, throughput: Array, depth: int, rng: np.random.Generator
+        self, hit: Hit, d: Array, throughput: Array, depth: int, seed: tuple[int, ...]
     ) -> tuple[Array, Array, Array, Array, Array, Drawn | None, Hit]:
         """Light that one scattering sends back along rays, and the rays that go on: their origin, direction,
         primitive, throughput, how they were drawn and what they meet."""
         settings, n = self.settings, len(d)
         materials = settings.direct if depth == 0 else settings.materials
         of = self.material_of[hit.primitive]
-        v = kernels.to_local(hit.frame, -d)
+        v = self.call(kernels.to_local, hit.frame, -d)
         present = [m for m in range(len(materials)) if bool((of == m).any())]
         total = jnp.zeros_like(throughput)
-        for k, samples, shadow in zip(settings.lamps, settings.samples, settings.shadows, strict=True):
-            one = self.scene.lamps[k]
+        for k in settings.lit(depth):
+            one, samples, shadow = self.scene.lamps[k], settings.samples[k], settings.shadows[k]
+            rng = _random(seed, depth + 1, k + 1)
             for _ in range(1 if one.is_delta else samples):
                 arriving = self._arriving(k, one, hit.point, rng)
-                l = kernels.to_local(hit.frame, arriving.towards)
+                l = self.call(kernels.to_local, hit.frame, arriving.towards)
                 f, pdf = self._values(materials, present, of, l, v, mis=not one.is_delta)
-                part = _direct(throughput, f, arriving, pdf, 1 if one.is_delta else samples)
+                part = self.call(_direct, throughput, f, arriving, pdf, 1 if one.is_delta else samples)
                 if shadow:
-                    dark = kernels.hidden(
-                        self.shapes, hit.point, arriving.towards, hit.primitive, arriving.distance
+                    dark = self.call(
+                        kernels.hidden,
+                        self.shapes,
+                        hit.point,
+                        arriving.towards,
+                        hit.primitive,
+                        arriving.distance,
                     )
                     part = jnp.where(dark[:, None], 0.0, part)
                 total = total + part
         last = depth == settings.bounces
-        if last and all(self.scene.lamps[k].is_delta for k in settings.lamps):
+        if last and all(self.scene.lamps[k].is_delta for k in settings.lit(depth)):
             return total, hit.point, d, hit.primitive, throughput, None, hit
-        drawn = self._draw(settings.materials, present, of, v, rng, n)
-        out = kernels.to_world(hit.frame, jnp.asarray(drawn.towards, self.dtype))
+        drawn = self._draw(settings.materials, present, of, v, _random(seed, depth + 1, 0), n)
+        out = self.call(kernels.to_world, hit.frame, jnp.asarray(drawn.towards, self.dtype))
         throughput = throughput * jnp.asarray(drawn.weight, self.dtype)
-        onward = kernels.nearest(self.shapes, hit.point, out, hit.primitive)
+        onward = self.call(kernels.nearest, self.shapes, hit.point, out, hit.primitive)
         return total, hit.point, out, hit.primitive, throughput, drawn, onward
 
     def _values(
@@ -172,9 +199,12 @@ class Integrator:
                     some[chosen] = one.pdf(ll, vv)
                 total, density = total + found.astype(self.dtype), density + some.astype(self.dtype)
                 continue
-            total = jnp.where(lanes[:, None], one.value(l, v), total)
+            assert isinstance(one, ModelMaterial)
+            kernel, given = one.value_call(l, v)
+            total = jnp.where(lanes[:, None], self.call(kernel, *given), total)
             if mis:
-                density = jnp.where(lanes, one.pdf(l, v), density)
+                kernel, given = one.pdf_call(l, v)
+                density = jnp.where(lanes, self.call(kernel, *given), density)
         return total, density
 
     def _draw(
@@ -187,7 +217,8 @@ class Integrator:
         for m in present:
             one, lanes = materials[m], of == m
             if isinstance(one, ModelMaterial):
-                drawn = one.draw(v, rng)
+                kernel, given = one.draw_call(v, rng)
+                drawn = self.call(kernel, *given)
             else:
                 # Of as many lanes as there are, so that draws don't depend on what else is in the picture.
                 chosen = np.flatnonzero(np.asarray(lanes))
@@ -198,6 +229,10 @@ class Integrator:
             pdf = jnp.where(lanes, jnp.asarray(drawn.pdf, self.dtype), pdf)
             ideal = jnp.where(lanes, jnp.asarray(drawn.is_delta), ideal)
         return Drawn(towards, weight, pdf, ideal)
+
+
+def _random(seed: tuple[int, ...], depth: int, purpose: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([*seed, depth, purpose])))
 
 
 def _spread(part: NDArray[Any], chosen: NDArray[np.intp], n: int) -> NDArray[Any]:

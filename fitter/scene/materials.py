@@ -58,6 +58,10 @@ class Material(Protocol):
     def draw(self, v: Array, rng: np.random.Generator, /) -> Drawn: ...
 
 
+#: A kernel and its arguments.
+Call = tuple[Any, tuple[Any, ...]]
+
+
 @dataclasses.dataclass(frozen=True)
 class ModelMaterial:
     """A reflectance model; ``off``, ``constants`` : what a plan makes of it (:mod:`fitter.scene.shading`)."""
@@ -71,16 +75,31 @@ class ModelMaterial:
         return self.model.transmits(self.model.spec)
 
     def value(self, l: Array, v: Array) -> Array:
-        return _value(self._cast(l), self.off, dict(self.constants), l, v)
+        kernel, given = self.value_call(l, v)
+        return kernel(*given)
 
     def pdf(self, l: Array, v: Array) -> Array:
-        return _pdf(self._cast(l), l, v)
+        kernel, given = self.pdf_call(l, v)
+        return kernel(*given)
 
     def draw(self, v: Array, rng: np.random.Generator) -> Drawn:
+        kernel, given = self.draw_call(v, rng)
+        return kernel(*given)
+
+    def value_call(self, l: Array, v: Array) -> Call:
+        """The kernel behind :meth:`value` and what it is called with."""
+        return _value, (self._cast(l), self.off, dict(self.constants), l, v)
+
+    def pdf_call(self, l: Array, v: Array) -> Call:
+        """That behind :meth:`pdf`."""
+        return _pdf, (self._cast(l), l, v)
+
+    def draw_call(self, v: Array, rng: np.random.Generator) -> Call:
+        """That behind :meth:`draw`."""
         u = jnp.asarray(rng.random((len(v), 3), np.float64), v.dtype)
         # Rounded to float32 a number may be 1, which is no uniform number's value.
         u = jnp.minimum(u, 1.0 - float(jnp.finfo(v.dtype).epsneg))
-        return _draw(self._cast(v), v, u)
+        return _draw, (self._cast(v), v, u)
 
     def _cast(self, like: Array) -> ReflectanceModel:
         values = {k: jnp.asarray(value, like.dtype) for k, value in self.model.values.items()}

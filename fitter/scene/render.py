@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from fitter.progress import Progress, ignore
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.materials import TableMaterial
 from fitter.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fitter.scene.plan import Plan
 
 FloatArray = NDArray[np.float64]
 Precision = Literal["float32", "float64"]
@@ -89,12 +92,14 @@ def render(
     target_error: float | None = None,
     seed: int = 0,
     precision: Precision = "float32",
+    by: Plan | None = None,
     settings: Settings | None = None,
     progress: Progress = ignore,
 ) -> Picture:
     """Render until ``samples`` of each pixel, ``seconds``, or ``target_error`` (see :attr:`Picture.error`),
     whichever comes first; 16 samples where none is given. The same seed and number of samples give the same
-    picture. Raises SpecError: a limit that makes no sense; Cancelled.
+    picture. ``by`` a plan, which is kept with the picture; ``settings`` are its or made by hand. Raises
+    SpecError: a limit that makes no sense; Cancelled.
     """
     limits = {"samples": samples, "seconds": seconds, "target_error": target_error}
     for name, limit in limits.items():
@@ -105,7 +110,8 @@ def render(
     if all(limit is None for limit in limits.values()):
         samples = 16
     began = time.perf_counter()
-    integrator = Integrator(scene, settings or Settings.everything(scene), np.dtype(precision))
+    chosen = settings or (by.settings if by is not None else Settings.everything(scene))
+    integrator = Integrator(scene, chosen, np.dtype(precision))
     camera, count = scene.spec.camera, len(scene.spec.channels)
     total = camera.width * camera.height
     mean, spread, hits = np.zeros((total, count)), np.zeros((total, count)), np.zeros(total)
@@ -114,10 +120,9 @@ def render(
     shape = camera.height, camera.width
     while not stopped:
         for start in range(0, total, BATCH):
-            pixel = np.arange(start, start + min(BATCH, _padded(total)))
+            pixel = np.arange(start, start + min(BATCH, padded(total)))
             keep = pixel < total
-            rng = np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, done, start])))
-            found, met = integrator.batch(np.minimum(pixel, total - 1), rng)
+            found, met = integrator.batch(np.minimum(pixel, total - 1), (seed, done, start))
             one = found[keep].astype(np.float64)
             rows = pixel[keep]
             away = one - mean[rows]
@@ -152,10 +157,11 @@ def render(
     return Picture(
         mean.reshape(*shape, count), u.reshape(*shape, count), (hits / done).reshape(shape),
         scene.spec.channels, done, spent, seed, precision, stopped, history, _notes(scene), tables,
+        None if by is None else dict(by.document),
     )  # fmt: skip
 
 
-def _padded(total: int) -> int:
+def padded(total: int) -> int:
     """Rays of a batch of a small picture: a power of two."""
     return max(256, 1 << (total - 1).bit_length())
 

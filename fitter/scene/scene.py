@@ -99,10 +99,15 @@ def material(one: MaterialSpec, channels: tuple[str, ...], name: str, find: Find
         )  # fmt: skip
     else:
         found = find(one)
+    return made_of(found, channels, name)
+
+
+def made_of(found: ReflectanceModel | Table, channels: tuple[str, ...], name: str) -> Material:
+    """A material of a model or a table, with the scene's channels. Raises SpecError where they don't fit."""
+    where = f"materials.{name}"
     if isinstance(found, Table):
         return TableMaterial(found, _columns([c.name for c in found.channels], channels, where))
-    columns = _columns(list(found.channels), channels, where)
-    return ModelMaterial(_chosen(found, columns))
+    return ModelMaterial(_chosen(found, _columns(list(found.channels), channels, where)))
 
 
 def _columns(there: list[str], channels: tuple[str, ...], where: str) -> np.ndarray:

@@ -44,3 +44,30 @@ def test_bad_calls(run: Run, example: Path, tmp_path: Path) -> None:
         ran = run("scene", *words, "--json")
         assert ran.status == 2
         assert said in json.dumps(ran.document["error"]), words
+
+
+def test_plan(run: Run, example: Path, tmp_path: Path) -> None:
+    document = run("scene", "plan", example, "--tolerance", "20%", "--out", tmp_path / "p", "--json").document
+    assert document["kind"] == "brdf-fitter/plan"
+    assert document["tolerance"] == 0.2
+    assert json.loads((tmp_path / "p" / "plan.json").read_text())["decisions"] == document["decisions"]
+    ran = run(
+        "scene", "render", example, "--samples", 2, "--plan", "--tolerance", "20%", "--out", tmp_path / "r"
+    )
+    assert "operations a sample" in ran.out
+    assert "off: directions stay within" in ran.out
+    assert (tmp_path / "r" / "picture.plan.json").exists()
+
+
+def test_compare(run: Run, example: Path, tmp_path: Path, fits: Path, plaster: Path) -> None:
+    words = ["scene", "compare", example, "--material", "ball", "--table", plaster, "--fit"]
+    ran = run(*words, fits / "oren_nayar.json", "--samples", 4, "--out", tmp_path / "c", "--json")
+    document = ran.document
+    assert document["kind"] == "brdf-fitter/scene-comparison"
+    assert [one["channel"] for one in document["numbers"]] == ["R", "G", "B"]
+    # Plaster is what this model is for.
+    assert all(one["error_without_noise"] < 0.1 and one["psnr_db"] > 20 for one in document["numbers"])
+    assert (tmp_path / "c" / "compare.png").read_bytes().startswith(b"\x89PNG")
+    words[words.index("ball")] = "bowl"
+    ran = run(*words, fits / "oren_nayar.json", "--json")
+    assert (ran.status, "tile, ball" in ran.document["error"]["remedy"]) == (2, True)
