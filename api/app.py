@@ -11,7 +11,7 @@ from fastapi import FastAPI
 import fitter
 from api import openapi, pages, problems
 from api.limits import BodyLimit, Counted
-from api.routes import fits, health, jobs, models, tables, tradeoffs
+from api.routes import fits, health, jobs, models, scenes, tables, tradeoffs
 from api.service import Service
 from api.settings import Settings
 
@@ -41,7 +41,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Counted)
     problems.install(app)
-    for room in (tables, fits, tradeoffs, jobs, models, health):
+    for room in (tables, fits, tradeoffs, scenes, jobs, models, health):
         app.include_router(room.router)
     pages.install(app)
     openapi.install(app)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, JobRow, ModelRow, TableRow, TradeoffRow
+from api.rows import QUEUED, RUNNING, JobRow, ModelRow, SceneRow, TableRow, TradeoffRow
 
 
 def when(seconds: float) -> str:
@@ -31,12 +31,15 @@ def table(row: TableRow) -> dict[str, Any]:
 
 def job(row: JobRow) -> dict[str, Any]:
     here = f"/v1/jobs/{row.id}"
-    links = {"self": here, "events": f"{here}/events", "table": f"/v1/tables/{row.table_id}"}
+    links = {"self": here, "events": f"{here}/events"}
+    if row.table_id:
+        links["table"] = f"/v1/tables/{row.table_id}"
     if row.state in (QUEUED, RUNNING):
         links["cancel"] = f"{here}/cancel"
     return {
         "id": row.id, "kind": row.kind, "state": row.state,
-        "progress": {"share": row.share, "what": row.what}, "attempt": row.attempt, "table": row.table_id,
+        "progress": {"share": row.share, "what": row.what}, "attempt": row.attempt,
+        "table": row.table_id or None,
         "request": row.request, "created": when(row.created),
         "started": None if row.started is None else when(row.started),
         "finished": None if row.finished is None else when(row.finished),
@@ -84,6 +87,17 @@ def tradeoff_links(id: str) -> dict[str, str]:
     return {"report": f"{here}/report.html", "picture": f"{here}/picture.png"}
 
 
+def scene(row: SceneRow) -> dict[str, Any]:
+    here = f"/v1/scenes/{row.id}"
+    links = {"self": here, "job": f"/v1/jobs/{row.job_id}", **_scene_links(row.id)}
+    return {"id": row.id, "created": when(row.created), "job": row.job_id, **row.summary, "links": links}
+
+
+def _scene_links(id: str) -> dict[str, str]:
+    here = f"/v1/scenes/{id}"
+    return {"exr": f"{here}/picture.exr", "picture": f"{here}/picture.png"}
+
+
 def _model_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/models/{row.id}"
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "sample", "pdf", "albedo")}}
@@ -99,6 +113,8 @@ def _result(one: dict[str, Any]) -> dict[str, Any]:
         links["picture"] = f"{here}/picture.png"
     if one["kind"] == "tradeoff":
         links |= tradeoff_links(one["id"])
+    if one["kind"] == "scene":
+        links |= _scene_links(one["id"])
     if one["kind"] == "fit":
         links |= {"model": f"/v1/models/{one['id']}", "report": f"{here}/report.html"}
     return {**one, "links": links}

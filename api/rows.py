@@ -34,7 +34,10 @@ class TableRow(Row):
 
 
 class JobRow(Row):
-    """Work that takes time. The row is the record: what the queue and its clients know is here."""
+    """Work that takes time. The row is the record: what the queue and its clients know is here.
+
+    ``table_id`` is empty where the work needs no table.
+    """
 
     __tablename__ = "jobs"
     __table_args__ = (Index("jobs_by_state", "state", "created"),)
@@ -72,6 +75,15 @@ class TradeoffRow(Row):
     __tablename__ = "tradeoffs"
 
     table_id: Mapped[str] = mapped_column(String(32))
+    job_id: Mapped[str] = mapped_column(String(32))
+    summary: Mapped[dict[str, Any]]
+
+
+class SceneRow(Row):
+    """A rendered scene."""
+
+    __tablename__ = "scenes"
+
     job_id: Mapped[str] = mapped_column(String(32))
     summary: Mapped[dict[str, Any]]
 

@@ -17,10 +17,10 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.scene import kernels, lights
+from fitter.scene.assembly import Scene
 from fitter.scene.kernels import Hit, Shapes
 from fitter.scene.lights import Arriving, Lamp, Sky
 from fitter.scene.materials import Drawn, Material, ModelMaterial, TableMaterial
-from fitter.scene.scene import Scene
 
 
 @dataclass(frozen=True)

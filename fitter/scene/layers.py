@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
 from fitter.scene import effects
+from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Settings
 from fitter.scene.materials import ModelMaterial
-from fitter.scene.plan import constants_of
-from fitter.scene.render import Picture, Precision, render
-from fitter.scene.scene import Scene
+from fitter.scene.planning import constants_of
+from fitter.scene.rendering import Picture, Precision, render
 
 
 def settings_without(scene: Scene) -> Mapping[str, Settings]:

@@ -208,14 +208,21 @@ class TableMaterial:
         angles = (np.arange(_INCIDENCES) + 0.5) * (0.5 * np.pi / _INCIDENCES)
         self._incidences = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
         self._sampler: TableSampler | None = None
-        self._usable = np.zeros(_INCIDENCES, bool)
-        try:
-            self._sampler = TableSampler(table)
-            for k, wi in enumerate(self._incidences):
-                self._usable[k] = self._sampler.envelope(wi, allow_extrapolated=True).info.integral > 0
-        except FitterError as error:
-            self._usable[:] = False
-            self.note = f"directions are drawn by the cosine only: {error.message}"
+        self._usable: NDArray[np.bool_] | None = None
+
+    def _ready(self) -> NDArray[np.bool_]:
+        """(K,) the incidences that can be drawn at; their envelopes are made when first needed."""
+        if self._usable is None:
+            usable = np.zeros(_INCIDENCES, bool)
+            try:
+                self._sampler = TableSampler(self._table)
+                for k, wi in enumerate(self._incidences):
+                    usable[k] = self._sampler.envelope(wi, allow_extrapolated=True).info.integral > 0
+            except FitterError as error:
+                usable[:] = False
+                self.note = f"directions are drawn by the cosine only: {error.message}"
+            self._usable = usable
+        return self._usable
 
     def value(self, towards: ArrayLike, viewer: ArrayLike) -> FloatArray:
         l, v = _unit(towards), _unit(viewer)
@@ -264,7 +271,7 @@ class TableMaterial:
         """(N,) the incidence whose density is used for v, -1 for none."""
         theta = np.arccos(np.clip(v[:, 2], -1.0, 1.0))
         k = np.clip((theta / (0.5 * np.pi) * _INCIDENCES).astype(np.intp), 0, _INCIDENCES - 1)
-        return np.where((v[:, 2] > 0) & self._usable[k], k, -1)
+        return np.where((v[:, 2] > 0) & self._ready()[k], k, -1)
 
 
 def _unit(w: ArrayLike) -> FloatArray:

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitter.scene import kernels
+from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.kernels import Shapes
 from fitter.scene.materials import ModelMaterial
-from fitter.scene.scene import Scene
 
 #: Rays that are followed to see which kernels are called.
 _RAYS = 1024

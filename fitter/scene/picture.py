@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.documents import write_bytes
-from fitter.scene.render import Picture
+from fitter.scene.rendering import Picture
 
 #: Attributes of the OpenEXR file: the picture's document and the plan it was rendered by.
 ATTRIBUTE, PLAN = "brdf.picture", "brdf.plan"

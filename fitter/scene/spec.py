@@ -21,10 +21,12 @@ __all__ = [
     "Plane", "Plate", "PointLight", "SceneSpec", "Shape", "Sphere", "scene_spec",
 ]  # fmt: skip
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+#: Within these single precision holds products of lengths, and squares of them.
+Finite = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
-_Level = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Level = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False)]
 #: Of light: one number for all channels, or one each.
 Channels = _Level | Annotated[tuple[_Level, ...], Field(min_length=1)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -84,7 +86,7 @@ class Material(Frozen):
     options: Mapping[str, Any] = Field(default_factory=dict)
     compressed: str | None = Field(None, min_length=1, max_length=1000)
     model: ModelSpec | Name | None = None
-    values: Mapping[str, Finite | tuple[Finite, ...]] = Field(default_factory=dict)
+    values: Mapping[str, Number | tuple[Number, ...]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.scene import kernels
+from fitter.scene.assembly import Scene
 from fitter.scene.intervals import Interval, cosine, increasing, sine, unit_component
 from fitter.scene.lights import Lamp
-from fitter.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]

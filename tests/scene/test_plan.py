@@ -13,10 +13,10 @@ import pytest
 from fitter.models import create
 from fitter.models.pair import Pair
 from fitter.scene import effects, operations, plan, render, scene
+from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.layers import layers
 from fitter.scene.materials import ModelMaterial
-from fitter.scene.scene import Scene
 from fitter.scene.shading import value
 from fitter.scene.surfaces import Boxes, Surfaces
 from tests.scene.scenes import document

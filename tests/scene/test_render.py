@@ -15,10 +15,10 @@ from fitter.errors import SpecError
 from fitter.formats import load
 from fitter.scene import kernels as k
 from fitter.scene import render, scene
+from fitter.scene.assembly import Scene
 from fitter.scene.kernels import Shapes
 from fitter.scene.materials import ModelMaterial, TableMaterial
 from fitter.scene.picture import exr, png
-from fitter.scene.scene import Scene
 from fitter.table import Table
 from tests.scene.scenes import assert_standard_normal, document, flat, z_scores
 

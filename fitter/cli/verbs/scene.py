@@ -169,7 +169,7 @@ def _compare(given: argparse.Namespace, screen: Screen) -> Outcome:
     start_numerics(screen)
     from fitter.cli.results import load_result
     from fitter.scene import load_scene
-    from fitter.scene.compare import compare
+    from fitter.scene.comparison import compare
 
     scene = load_scene(given.scene)
     model = load_result(given.fit).model

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from fitter.errors import SpecError
 from fitter.progress import Progress, ignore
+from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.materials import TableMaterial
-from fitter.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from fitter.scene.plan import Plan
+    from fitter.scene.planning import Plan
 
 FloatArray = NDArray[np.float64]
 Precision = Literal["float32", "float64"]

@@ -15,9 +15,9 @@ from fitter.errors import SpecError
 from fitter.models import ReflectanceModel
 from fitter.progress import Progress, ignore
 from fitter.scene import picture as files
+from fitter.scene.assembly import Scene, made_of
 from fitter.scene.materials import Material
-from fitter.scene.render import Picture, render
-from fitter.scene.scene import Scene, made_of
+from fitter.scene.rendering import Picture, render
 from fitter.table import Table
 
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
 from fitter.scene import effects, occlusion, operations
+from fitter.scene.assembly import Scene
 from fitter.scene.effects import WORDS, Off
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
-from fitter.scene.render import BATCH, padded, reference
-from fitter.scene.scene import Scene
+from fitter.scene.rendering import BATCH, padded, reference
 from fitter.scene.search import Decision, decide, hull
 from fitter.scene.surfaces import Angles, Boxes, Surfaces
 
