@@ -11,14 +11,14 @@ from sqlalchemy import ColumnElement
 
 from api.keys import Caller
 from api.problems import Problem
-from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, SceneRow, TableRow, TradeoffRow
 from api.service import Service
 from api.sessions import new_id
 
 _R = TypeVar("_R", bound=Row)
 _NOUNS: dict[type[Row], str] = {
     TableRow: "table", JobRow: "job", ModelRow: "model", PosteriorRow: "posterior", TradeoffRow: "tradeoff",
-    CalibrationRow: "calibration",
+    CalibrationRow: "calibration", SceneRow: "scene",
 }  # fmt: skip
 
 

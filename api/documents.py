@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, EventRow, JobRow, ModelRow, TableRow, TradeoffRow
+from api.rows import QUEUED, RUNNING, EventRow, JobRow, ModelRow, SceneRow, TableRow, TradeoffRow
 
 
 def when(seconds: float) -> str:
@@ -27,12 +27,15 @@ def table(row: TableRow) -> dict[str, Any]:
 
 def job(row: JobRow) -> dict[str, Any]:
     here = f"/v1/jobs/{row.id}"
-    links = {"self": here, "events": f"{here}/events", "table": f"/v1/tables/{row.table_id}"}
+    links = {"self": here, "events": f"{here}/events"}
+    if row.table_id:
+        links["table"] = f"/v1/tables/{row.table_id}"
     if row.state in (QUEUED, RUNNING):
         links["cancel"] = f"{here}/cancel"
     return {
         "id": row.id, "kind": row.kind, "state": row.state,
-        "progress": {"share": row.share, "what": row.what}, "attempt": row.attempt, "table": row.table_id,
+        "progress": {"share": row.share, "what": row.what}, "attempt": row.attempt,
+        "table": row.table_id or None,
         "request": row.request, "created": when(row.created),
         "started": None if row.started is None else when(row.started),
         "finished": None if row.finished is None else when(row.finished),
@@ -88,6 +91,17 @@ def tradeoff_links(id: str) -> dict[str, str]:
     return {"report": f"{here}/report.html", "picture": f"{here}/picture.png"}
 
 
+def scene(row: SceneRow) -> dict[str, Any]:
+    here = f"/v1/scenes/{row.id}"
+    links = {"self": here, "job": f"/v1/jobs/{row.job_id}", **_scene_links(row.id)}
+    return {"id": row.id, "created": when(row.created), "job": row.job_id, **row.summary, "links": links}
+
+
+def _scene_links(id: str) -> dict[str, str]:
+    here = f"/v1/scenes/{id}"
+    return {"exr": f"{here}/picture.exr", "picture": f"{here}/picture.png"}
+
+
 def _model_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/models/{row.id}"
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in ("evaluate", "sample", "pdf", "albedo")}}
@@ -104,6 +118,8 @@ def _result(one: dict[str, Any]) -> dict[str, Any]:
         links["picture"] = f"{here}/picture.png"
     if one["kind"] == "tradeoff":
         links |= tradeoff_links(one["id"])
+    if one["kind"] == "scene":
+        links |= _scene_links(one["id"])
     if one["kind"] == "fit":
         links |= {"model": f"/v1/models/{one['id']}", "report": f"{here}/report.html"}
     return {**one, "links": links}

@@ -37,7 +37,7 @@ class Queue(Sessions):
         """Queue it. Raises Missing where its table was deleted meanwhile, and QueueFull."""
         with self.writing() as session:
             # The lock keeps the table from being deleted between this look and the insertion.
-            if session.get(TableRow, job.table_id, with_for_update=True) is None:
+            if job.table_id and session.get(TableRow, job.table_id, with_for_update=True) is None:
                 raise Missing
             waiting = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state == QUEUED))
             if (waiting or 0) >= max_queue:

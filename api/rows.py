@@ -49,6 +49,7 @@ class JobRow(Row):
     server : who has claimed the job, until ``lease`` (seconds since 1970 by the database's clock).
     worker : the process that works on this attempt, None until one does. losses : attempts that ended with
     the death of who worked on them. events : how many there are in its log.
+    ``table_id`` is empty where the work needs no table.
     """
 
     __tablename__ = "jobs"
@@ -107,6 +108,15 @@ class TradeoffRow(Row):
     __tablename__ = "tradeoffs"
 
     table_id: Mapped[str] = mapped_column(String(32))
+    job_id: Mapped[str] = mapped_column(String(32))
+    summary: Mapped[dict[str, Any]]
+
+
+class SceneRow(Row):
+    """A rendered scene."""
+
+    __tablename__ = "scenes"
+
     job_id: Mapped[str] = mapped_column(String(32))
     summary: Mapped[dict[str, Any]]
 

@@ -37,11 +37,11 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 async def started(
     here: Mine, response: Response, prefer: str | None, kind: str,
-    prepare: Callable[[], tuple[str, dict[str, Any]]],
+    prepare: Callable[[], tuple[str | None, dict[str, Any]]],
 ) -> dict[str, Any]:  # fmt: skip
     """Queue a job; the answer that shows it.
 
-    ``prepare`` : runs in a thread; the id of the table that the job works on, and its request.
+    ``prepare`` : runs in a thread; the id of the table that the job works on, if any, and its request.
 
     Raises Problem (404, 429) and what ``prepare`` raises.
     """
@@ -57,14 +57,15 @@ async def started(
     return documents.job(job)
 
 
-def _queue(here: Mine, kind: str, prepare: Callable[[], tuple[str, dict[str, Any]]]) -> JobRow:
+def _queue(here: Mine, kind: str, prepare: Callable[[], tuple[str | None, dict[str, Any]]]) -> JobRow:
     before = here.made_before(JobRow)
     if before is not None:
         return before
     table, request = prepare()
-    here.get(TableRow, table)
+    if table is not None:
+        here.get(TableRow, table)
     job = JobRow(
-        id=here.new_id(), created=time.time(), owner=here.caller.owner, kind=kind, table_id=table,
+        id=here.new_id(), created=time.time(), owner=here.caller.owner, kind=kind, table_id=table or "",
         request=request,
     )  # fmt: skip
     here.service.submit(job)

@@ -22,6 +22,7 @@ from api.rows import (
     JobRow,
     ModelRow,
     PosteriorRow,
+    SceneRow,
     TableRow,
     TradeoffRow,
 )
@@ -30,7 +31,7 @@ from api.store import Store
 from fitter.errors import SpecError
 
 #: Rows that result documents are named by.
-RESULTS = (ModelRow, PosteriorRow, TradeoffRow, CalibrationRow)
+RESULTS = (ModelRow, PosteriorRow, TradeoffRow, CalibrationRow, SceneRow)
 #: Seconds for which a file may lie there without a row: its upload or its job may be about to make one.
 GRACE = 86_400.0
 

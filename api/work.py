@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import fitter
 from api.problems import Problem, of_fitter_error
 from api.results import Results
-from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, TableRow, TradeoffRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, SceneRow, TableRow, TradeoffRow
+from api.scenes import scene_of
 from api.store import Store, new_id
 from api.tables import OpenTables
 from fitter.errors import FitterError, SpecError
@@ -42,6 +43,8 @@ class Worker:
 
     def run(self, job: JobRow, progress: Progress) -> Outcome:
         """Do the job. Raises Cancelled, FitterError, or Problem where what it needs is gone."""
+        if job.kind == "scene":
+            return self._scene(job, progress)
         row = self._store.get(TableRow, job.table_id)
         if row is None:
             raise Problem.not_found("table", job.table_id)
@@ -154,6 +157,28 @@ class Worker:
         )  # fmt: skip
         name = fit.spec.model.name
         return Outcome([row], [{"kind": "calibration", "model": name, "id": id, "status": found.status}])
+
+    def _scene(self, job: JobRow, progress: Progress) -> Outcome:
+        from fitter.scene import picture as files
+        from fitter.scene import plan, render
+        from fitter.scene.layers import layers
+
+        wanted = job.request
+        scene = scene_of(wanted["scene"], self._store.get, self._tables)
+        planned = plan(scene, seed=wanted["seed"], progress=progress) if wanted["plan"] else None
+        limits = {name: wanted[name] for name in ("samples", "seconds", "target_error", "seed", "precision")}
+        found = render(scene, by=planned, progress=progress, **limits)
+        if wanted["layers"]:
+            found.layers.update(layers(scene, found, progress))
+        document = found.to_dict()
+        id = new_id()
+        self._results.write(id, document)
+        self._results.write_report(id, "exr", files.exr(found))
+        self._results.write_report(id, "png", files.png(found))
+        shown = ("width", "height", "samples", "seconds", "error", "stopped")
+        summary = {name: document[name] for name in shown}
+        row = SceneRow(id=id, created=time.time(), job_id=job.id, summary=summary)
+        return Outcome([row], [{"kind": "scene", "id": id, "status": found.stopped}])
 
     def _tradeoff(self, job: JobRow, table: fitter.Table, progress: Progress) -> Outcome:
         from fitter.tradeoffs import tradeoff

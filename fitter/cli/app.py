@@ -20,8 +20,8 @@ from fitter.errors import FitError, FitterError, SpecError
 #: The verbs, in the order a person needs them: each is a module of fitter.cli.verbs with a ``VERB``.
 VERBS = (
     "info", "check", "fit", "posterior", "calibrate", "report", "tradeoff", "compress", "decompress",
-    "convert", "export", "sample", "batch", "compare", "models", "datasets", "serve", "db", "keys", "gc",
-    "backup", "demo",
+    "convert", "export", "sample", "scene", "batch", "compare", "models", "datasets", "serve", "db", "keys",
+    "gc", "backup", "demo",
 )  # fmt: skip
 
 

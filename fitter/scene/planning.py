@@ -1,0 +1,470 @@
+"""Plan: which effects of a scene can be left out, proved or measured, and what that saves."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.progress import Progress, ignore
+from fitter.scene import effects, occlusion, operations
+from fitter.scene.assembly import Scene
+from fitter.scene.effects import WORDS, Off
+from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.intervals import Interval
+from fitter.scene.materials import Material, ModelMaterial
+from fitter.scene.rendering import BATCH, padded, reference
+from fitter.scene.search import Decision, decide, hull
+from fitter.scene.surfaces import Angles, Boxes, Surfaces
+
+FloatArray = NDArray[np.float64]
+
+KIND = "brdf-fitter/plan"
+#: Share of F below which radiance counts as that much.
+FLOOR = 0.01
+#: Effects of a material that all sets are tried of.
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The settings that a picture is rendered with, and the document that explains them."""
+
+    settings: Settings
+    document: Mapping[str, Any]
+
+    def sentences(self) -> list[str]:
+        """Each decision in a sentence with its number."""
+        return [str(one["sentence"]) for one in self.document["decisions"]]
+
+
+def plan(scene: Scene, *, tolerance: float | None = None, seed: int = 0, progress: Progress = ignore) -> Plan:
+    """Which effects of the scene stay below ``tolerance`` (default: the scene's) together, everywhere.
+
+    The error of a point of the picture is |L - L'| / max(L, 0.01 F), the largest of its channels.
+    """
+    began = time.perf_counter()
+    progress(0.0, "pre-pass")
+    floor = prepass(scene, seed)
+    after = time.perf_counter()
+    planner = _Planner(scene, scene.spec.tolerance if tolerance is None else tolerance, floor)
+    settings, decisions, bound = planner.run(progress)
+    planned = time.perf_counter()
+    everything = Settings.everything(scene)
+    progress(0.9, "counting operations")
+    counted = {
+        "all": operations.of_picture(scene, everything),
+        "planned": operations.of_picture(scene, settings),
+    }
+    counts = {**counted, "saved": counted["all"] / max(counted["planned"], 1.0)}
+    document = {
+        "kind": KIND, "tolerance": planner.tolerance, "bound": bound, "reference": floor, "floor": FLOOR,
+        "seed": seed, "decisions": decisions, "operations": counts,
+        "seconds": {
+            "prepass": after - began, "planning": planned - after, "counting": time.perf_counter() - planned,
+        },
+    }  # fmt: skip
+    return Plan(settings, document)
+
+
+def prepass(scene: Scene, seed: int) -> float:
+    """F: the mean over pixels that show a shape of the radiance, of one sample each, clipped at its 99th
+    percentile."""
+    total = scene.spec.camera.width * scene.spec.camera.height
+    size = min(BATCH, padded(total))
+    pixel = np.linspace(0, total - 1, size).astype(np.intp)
+    found, met = Integrator(scene, Settings.everything(scene), np.dtype(np.float32)).batch(
+        pixel, (seed, 2**31)
+    )
+    return reference(found[None].astype(np.float64), met[None].astype(np.float64))
+
+
+def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict[str, Any]:
+    """What replaces the Fresnel term of a material: per channel the value whose largest relative error over
+    the scene is least."""
+    one = scene.materials[m]
+    if not isinstance(one, ModelMaterial) or "fresnel" not in effects.effects(one.model):
+        return {}
+    surfaces = surfaces or Surfaces(scene)
+
+    def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
+        c = effects.facet_cosine(angles)
+        return c.lo, c.hi
+
+    low, high = hull(surfaces, surfaces.start(m, tuple(range(len(scene.lamps)))), cosines)
+    low, high = min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)
+    c = Interval.of(np.linspace(min(low, high), max(low, high), 65))
+    found: list[float] = []
+    for k in range(len(one.model.channels)):
+        f = effects.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
+        least, most = float(f.min()), float(f.max())
+        found.append(2 * least * most / (least + most) if most > 0 else 0.0)
+    # As the kernels hold it.
+    return {"fresnel": np.asarray(found, np.float32).astype(np.float64)}
+
+
+class _Planner:
+    def __init__(self, scene: Scene, tolerance: float, floor: float) -> None:
+        self.scene, self.tolerance, self.floor = scene, tolerance, floor * FLOOR
+        self.surfaces = Surfaces(scene)
+        self.lamps = tuple(range(len(scene.lamps)))
+        self.several = len(self.lamps) > 1 or not scene.lamps[0].is_delta
+        #: w of :mod:`fitter.scene.search`, and what it costs.
+        self.weight = 16.0 * len(self.lamps) if self.several else 1.0
+        self.stretch = 1.0 + len(self.lamps) / self.weight if self.several else 1.0
+        #: Of each lamp whether nothing can stand before it, the boxes it took, points where it does.
+        self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
+        self.clear = [found for found, *_ in self.proofs]
+        self.skies = any(one.kind == "environment" for one in scene.lamps)
+
+    def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]], float]:
+        decisions: list[dict[str, Any]] = []
+        everything = Settings.everything(self.scene)
+        # Lamps first: each costs a whole evaluation of every material.
+        dark, spent = self._dark(decisions)
+        progress(0.2, "materials")
+        direct: list[Material] = []
+        worst = 0.0
+        for m, one in enumerate(self.scene.materials):
+            chosen, bound = self._material(m, one, self.tolerance - spent, decisions)
+            direct.append(chosen)
+            worst = max(worst, bound)
+        progress(0.7, "shadows and bounces")
+        shadows = tuple(self._shadow(k, decisions) for k in self.lamps)
+        bounces = self._bounces(decisions)
+        settings = replace(
+            everything, first=tuple(k not in dark for k in self.lamps), shadows=shadows, bounces=bounces,
+            direct=tuple(direct),
+        )  # fmt: skip
+        return settings, decisions, spent + worst
+
+    # Materials --------------------------------------------------------------------------------------
+
+    def _material(
+        self, m: int, one: Material, left: float, decisions: list[dict[str, Any]]
+    ) -> tuple[Material, float]:
+        """The material with the cheapest set of effects whose joint bound is within what is ``left``."""
+        name = self.scene.names[m]
+        if not isinstance(one, ModelMaterial):
+            decisions.append(_kept(name, "all", "a raw table has no effects to leave out"))
+            return one, 0.0
+        why = effects.unbounded(one.model)
+        if why is not None:
+            decisions.append(_kept(name, "all", why))
+            return one, 0.0
+        start = self.surfaces.start(m, self.lamps)
+        constants = constants_of(self.scene, m, self.surfaces)
+        full = operations.of_material(one)
+        single: dict[str, Decision] = {}
+        saved: dict[str, float] = {}
+        for effect in effects.effects(one.model)[:_MOST]:
+            off = frozenset({effect})
+            saved[effect] = full - operations.of_material(replace(one, off=off, constants=constants))
+            single[effect] = self._decide(one, off, constants, start, left)
+        free = [effect for effect, found in single.items() if found.state == "bounded" and saved[effect] > 0]
+        chosen, bound = frozenset[str](), 0.0
+        failed: list[Off] = []
+        for off in self._sets(free, one, constants):
+            if any(bad <= off for bad in failed):
+                continue
+            found = self._decide(one, off, constants, start, left, tighten=True)
+            if found.state == "bounded":
+                chosen, bound = off, found.bound
+                break
+            failed.append(off)
+        for effect, found in single.items():
+            decisions.append(
+                _judged(
+                    name, effect, found, effect in chosen, saved[effect], full, self._lengths(start), free
+                )
+            )
+        if not chosen:
+            return one, 0.0
+        return replace(one, off=chosen, constants=constants), bound
+
+    def _sets(self, free: Sequence[str], one: ModelMaterial, constants: Mapping[str, Any]) -> list[Off]:
+        """All compatible sets of effects, the cheapest program first."""
+        every = [frozenset(some) for n in range(1, len(free) + 1) for some in itertools.combinations(free, n)]
+        cost = {
+            off: operations.of_material(replace(one, off=off, constants=constants))
+            for off in every if effects.compatible(off)
+        }  # fmt: skip
+        return sorted(cost, key=lambda off: (cost[off], sorted(off)))
+
+    def _decide(
+        self, one: ModelMaterial, off: Off, constants: Mapping[str, Any], start: Boxes, tolerance: float,
+        *, tighten: bool = False,
+    ) -> Decision:  # fmt: skip
+        """The joint error of a set of effects of one material."""
+        model = one.model
+        groups = self._channels(model)
+
+        def criterion(boxes: Boxes, angles: Angles) -> FloatArray:
+            worst = np.zeros(len(boxes))
+            for channel, members in groups:
+                e, absolute, _ = effects.relative(effects.terms(model, off, constants, angles, channel))
+                g = self._over_floor(absolute, boxes, angles, members)
+                worst = np.maximum(worst, np.fmin(e, self.weight * g))
+            return worst * self.stretch
+
+        def sampler(boxes: Boxes) -> FloatArray:
+            return self._sampled(boxes, model, off, constants, groups)
+
+        budget = {"budget": 2_000} if self.skies else {}
+        return decide(self.surfaces, start, criterion, sampler, tolerance, tighten=tighten, **budget)
+
+    def _channels(self, model: Any) -> list[tuple[int, list[int]]]:
+        """Channels of the scene that share a material's values: the model's channel, and which they are."""
+        groups: dict[tuple[float, ...], tuple[int, list[int]]] = {}
+        for c in range(len(self.scene.spec.channels)):
+            own = c if len(model.channels) > 1 else 0
+            key = tuple(
+                float(np.asarray(v).reshape(-1)[own if np.size(v) > 1 else 0]) for v in model.values.values()
+            )
+            groups.setdefault(key, (own, []))[1].append(c)
+        return list(groups.values())
+
+    def _over_floor(
+        self, value: FloatArray, boxes: Boxes, angles: Angles, members: Sequence[int]
+    ) -> FloatArray:
+        """An upper bound of radiance over 0.01 F, of values f n.l."""
+        level = np.array([one.level[list(members)].max() for one in self.scene.lamps])[boxes.lamp]
+        with np.errstate(invalid="ignore", over="ignore"):
+            found = value * angles.arriving.hi * level
+        # 0 times infinity: no light arrives there.
+        return (
+            np.nan_to_num(found, nan=0.0, posinf=np.inf) * (1 + 1e-14) / self.floor
+            if self.floor > 0
+            else np.full(len(boxes), np.inf)
+        )
+
+    def _sampled(
+        self, boxes: Boxes, model: Any, off: Off, constants: Mapping[str, Any],
+        groups: Sequence[tuple[int, list[int]]], dark: int | None = None, unshaded: int | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """The error under all lamps, direct light only, at points of the picture; 0 elsewhere: of leaving out
+        effects, the lamp ``dark``, or what hides the lamp ``unshaded``."""
+        if self.skies:
+            return np.zeros(len(boxes))
+        count, channels = len(boxes), len(self.scene.spec.channels)
+        points = [(k, *one) for k in self.lamps for one in occlusion.spread(self.scene.lamps[k])]
+        many = len(points)
+        at = np.repeat(boxes.low, many, axis=0)
+        at[:, 2:] = np.tile([[s, t] for _, s, t, _ in points], (count, 1))
+        lamp = np.tile([k for k, *_ in points], count)
+        one = Boxes(np.repeat(boxes.primitive, many), lamp, at, at)
+        angles = self.surfaces.angles(one)
+        hidden = occlusion.shaded(self.surfaces, one, angles)
+        lit = angles.seen & ~hidden
+        share = np.tile([share for *_, share in points], count)
+        arriving = np.where(lit, angles.lz.mid * angles.arriving.mid * share, 0.0)
+        change, whole = np.zeros((count, channels)), np.zeros((count, channels))
+        for channel, members in groups:
+            parts = effects.terms(model, off, constants, angles, channel)
+            with np.errstate(invalid="ignore"):
+                total = sum((p.value.mid for p in parts), np.zeros(len(lamp)))
+                wrong = sum(((p.ratio.mid - 1) * p.value.mid for p in parts), np.zeros(len(lamp)))
+                radiance = np.where(arriving > 0, np.stack([total, wrong]) * arriving, 0.0)
+            radiance = np.nan_to_num(radiance, nan=0.0, posinf=0.0, neginf=0.0)
+            if dark is not None:
+                radiance[1] = np.where(lamp == dark, radiance[0], 0.0)
+            if unshaded is not None:
+                bright = np.where(angles.seen, angles.lz.mid * angles.arriving.mid * share, 0.0)
+                added = (lamp == unshaded) & hidden
+                radiance[1] = np.where(added, np.nan_to_num(total * bright, nan=0.0, posinf=0.0), 0.0)
+            for c in members:
+                level = np.array([one.level[c] for one in self.scene.lamps])[lamp]
+                sums = (radiance * level).reshape(2, count, many).sum(axis=2)
+                whole[:, c], change[:, c] = sums
+        error = np.abs(change) / np.maximum(whole, self.floor)
+        first = angles.take(np.arange(0, len(lamp), many))
+        shown = self.surfaces.inside(boxes) & occlusion.shown(self.surfaces, boxes, first)
+        return np.where(shown, error.max(axis=1), 0.0)
+
+    def _lengths(self, start: Boxes) -> float:
+        """The largest angle from the normal, degrees, that light or viewer make where something is seen."""
+
+        def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
+            return np.minimum(angles.lz.lo, angles.vz.lo), np.maximum(angles.lz.hi, angles.vz.hi)
+
+        low, _ = hull(self.surfaces, start, cosines)
+        return float(np.rad2deg(np.arccos(min(max(low, 0.0), 1.0))))
+
+    # Lamps, shadows, bounces ------------------------------------------------------------------------
+
+    def _dark(self, decisions: list[dict[str, Any]]) -> tuple[set[int], float]:
+        """Lamps that add nothing visible: the cheapest set whose bounds together are within half the
+        tolerance (the other half is for the materials)."""
+        bounds: dict[int, Decision] = {}
+        for k in self.lamps if len(self.lamps) > 1 else ():
+            others = [j for j in self.lamps if j != k and self.clear[j] and self.scene.lamps[j].is_delta]
+            found = self._lamp(k, others)
+            if found is not None:
+                bounds[k] = found
+        best: tuple[int, ...] = ()
+        usable = [k for k, found in bounds.items() if found.state == "bounded"]
+        for n in range(len(usable), 0, -1):
+            fit = [
+                some for some in itertools.combinations(usable, n)
+                if sum(bounds[k].bound for k in some) <= 0.5 * self.tolerance
+            ]  # fmt: skip
+            if fit:
+                best = min(fit, key=lambda some: sum(bounds[k].bound for k in some))
+                break
+        if len(best) == len(self.lamps):
+            best = best[1:]
+        for k, found in bounds.items():
+            kind = self.scene.lamps[k].kind
+            gone = k in best
+            sentence = (
+                f"light {k} ({kind}) off where the camera looks: error <= {100 * found.bound:.2g} %"
+                if gone else f"light {k} ({kind}) kept: " + _reason(found)
+            )  # fmt: skip
+            decisions.append(_decision("light", str(k), found, gone, sentence))
+        return set(best), sum(bounds[k].bound for k in best)
+
+    def _certain(
+        self, model: Any, channel: int, boxes: Boxes, others: Sequence[int], members: Sequence[int]
+    ) -> FloatArray:
+        """A lower bound of the radiance over 0.01 F that lamps without extent, never shaded, give everywhere
+        in boxes."""
+        found = np.zeros(len(boxes))
+        for j in others:
+            beside = replace(boxes, lamp=np.full(len(boxes), j))
+            angles = self.surfaces.angles(beside)
+            parts = effects.terms(model, frozenset(), {}, angles, channel)
+            low = sum((part.value.lo for part in parts), np.zeros(len(boxes)))
+            level = self.scene.lamps[j].level[list(members)].min()
+            with np.errstate(invalid="ignore"):
+                radiance = low * angles.lz.lo * angles.arriving.lo * level
+            found += np.nan_to_num(radiance, nan=0.0, posinf=0.0)
+        return found * (1 - 1e-14) / self.floor
+
+    def _lamp(self, k: int, others: Sequence[int]) -> Decision | None:
+        """How much light k adds, beside that of ``others``, which nothing shades, and over 0.01 F at
+        least."""
+        if self.scene.lamps[k].kind == "environment" or self.floor == 0:
+            return None
+        worst: Decision | None = None
+        for m, one in enumerate(self.scene.materials):
+            if not isinstance(one, ModelMaterial) or (effects.unbounded(one.model) is not None):
+                return None
+            model = one.model
+            groups = self._channels(model)
+
+            def criterion(
+                boxes: Boxes, angles: Angles, model: Any = model, groups: Any = groups
+            ) -> FloatArray:  # fmt: skip
+                found = np.zeros(len(boxes))
+                for channel, members in groups:
+                    parts = effects.terms(model, frozenset(), {}, angles, channel)
+                    mine = self._over_floor(effects.relative(parts)[2], boxes, angles, members)
+                    rest = self._certain(model, channel, boxes, others, members)
+                    with np.errstate(invalid="ignore", divide="ignore"):
+                        beside = np.where(mine > 0, 1.0 / (1.0 + rest / mine), 0.0)
+                    found = np.maximum(found, np.fmin(mine, beside * (1 + 1e-14)))
+                return found
+
+            start = self.surfaces.start(m, (k,))
+
+            def sampler(boxes: Boxes, model: Any = model, groups: Any = groups) -> FloatArray:
+                return self._sampled(boxes, model, frozenset(), {}, groups, dark=k)
+
+            found = decide(self.surfaces, start, criterion, sampler, self.tolerance, budget=2_000)
+            if found.state != "bounded":
+                return found
+            if worst is None or found.bound > worst.bound:
+                worst = found
+        return worst
+
+    def _shadow(self, k: int, decisions: list[dict[str, Any]]) -> bool:
+        """Whether rays to lamp k have to be tried."""
+        clear, boxes, witness = self.proofs[k]
+        kind = self.scene.lamps[k].kind
+        error = 0.0
+        for m in np.unique(self.surfaces.material[witness.primitive]).tolist():
+            one = self.scene.materials[m]
+            if isinstance(one, ModelMaterial) and effects.unbounded(one.model) is None:
+                mine = witness.take(self.surfaces.material[witness.primitive] == m)
+                groups = self._channels(one.model)
+                met = self._sampled(mine, one.model, frozenset(), {}, groups, unshaded=k)
+                error = max(error, float(met.max(initial=0.0)))
+        if clear:
+            found = Decision("bounded", 0.0, 0.0, boxes)
+            sentence = (
+                f"shadows of light {k} ({kind}) off: nothing can stand between it and any surface, error 0"
+            )
+        else:
+            found = Decision("needed" if error > self.tolerance else "open", float("inf"), error, boxes)
+            sentence = f"shadows of light {k} ({kind}) kept: {_reason(found)}"
+        decisions.append(_decision("shadows", str(k), found, clear, sentence))
+        return not clear
+
+    def _bounces(self, decisions: list[dict[str, Any]]) -> int:
+        """Reflections between shapes: none where no surface sees another."""
+        wanted = self.scene.spec.bounces
+        if wanted == 0:
+            return 0
+        alone = not any(one.transmits for one in self.scene.materials) and occlusion.nothing_faces(
+            self.surfaces
+        )
+        sentence = (
+            "reflections between shapes off: no surface faces another, error 0"
+            if alone else "reflections between shapes kept: surfaces face each other"
+        )  # fmt: skip
+        if not alone:
+            decisions.append({**_kept("all", "bounces", ""), "sentence": sentence})
+            return wanted
+        decisions.append(_decision("bounces", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence))
+        return 0
+
+
+def _judged(
+    name: str, effect: str, found: Decision, gone: bool, saved: float, full: float, degrees: float,
+    free: Sequence[str],
+) -> dict[str, Any]:  # fmt: skip
+    words = WORDS[effect]
+    if gone:
+        sentence = (
+            f"{words} of {name} off: directions stay within {degrees:.0f} degrees of the normal, "
+            f"error <= {100 * found.bound:.2g} %"
+        )
+    elif found.state == "bounded" and effect not in free:
+        sentence = f"{words} of {name} kept: leaving it out saves nothing"
+    elif found.state == "bounded":
+        sentence = f"{words} of {name} kept: with what else is left out it would exceed the tolerance"
+    else:
+        sentence = f"{words} of {name} kept: {_reason(found)}"
+    return {
+        **_decision(effect, name, found, gone, sentence), "saved_operations": saved,
+        "material_operations": full,
+    }  # fmt: skip
+
+
+def _reason(found: Decision) -> str:
+    if found.state == "needed":
+        return f"without it a point is {100 * found.found:.2g} % off"
+    if found.state == "bounded":
+        return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
+    bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
+    return f"not proved ({bound} after {found.boxes} boxes)"
+
+
+def _decision(effect: str, subject: str, found: Decision, gone: bool, sentence: str) -> dict[str, Any]:
+    return {
+        "effect": effect, "subject": subject, "off": gone, "state": found.state,
+        "bound": found.bound if np.isfinite(found.bound) else None, "found": found.found,
+        "boxes": found.boxes, "sentence": sentence,
+    }  # fmt: skip
+
+
+def _kept(name: str, effect: str, why: str) -> dict[str, Any]:
+    return {
+        "effect": effect, "subject": name, "off": False, "state": "not-bounded", "bound": None, "found": 0.0,
+        "boxes": 0, "sentence": f"{name}: {why}",
+    }  # fmt: skip
