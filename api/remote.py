@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from api.client import Client, Document, ServiceFailed
 from api.schemas import TableDocument
 from fitter.cli import reading
-from fitter.cli.results import FITS, file_name, show_fit
+from fitter.cli.results import show_fit
 from fitter.cli.screen import Screen
 from fitter.cli.values import output_file, output_folder
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome
@@ -25,7 +25,7 @@ from fitter.cli.verbs.check import show_check
 from fitter.cli.verbs.info import file_stem, show_table
 from fitter.cli.verbs.posterior import posterior_asked, show_posterior
 from fitter.directions import vector_from_spherical
-from fitter.documents import read_document, write_bytes, write_document
+from fitter.documents import FITS, read_document, write_bytes, write_document
 from fitter.errors import SpecError
 from fitter.quality import Check, Finding
 from fitter.spec import ModelSpec
@@ -124,7 +124,7 @@ def _fit(client: Client, given: argparse.Namespace, screen: Screen) -> Outcome:
             document = _remembering(client.fit(one["id"]), given)
             fits.append(document)
             if out is not None:
-                write_document(document, out / file_name(one["model"]))
+                write_document(document, out / ModelSpec.parse(one["model"]).file_name)
     results = [FitResult.from_dict(document) for document in fits]
 
     def show(screen: Screen) -> None:
@@ -134,7 +134,7 @@ def _fit(client: Client, given: argparse.Namespace, screen: Screen) -> Outcome:
             show_fit(result, screen)
             screen.line()
         if out is not None and results:
-            written = [str(out / file_name(result.spec.model.name)) for result in results]
+            written = [str(out / result.spec.model.file_name) for result in results]
             screen.line(f"written: {', '.join(written)}")
 
     status = WORK_FAILED if failures else DONE
