@@ -18,7 +18,8 @@ _VECTOR = {"type": "array", "items": _COMPONENT, "minItems": 3, "maxItems": 3}
 _VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1}]}
 _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
 _PARAMETERS = {
-    "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0, "format": "openexr",
+    "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0,
+    "format": "openexr", "draws": 4,
     "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55",
 }  # fmt: skip
 _TABLE = """# quantity: brdf
