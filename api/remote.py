@@ -27,7 +27,6 @@ from fitter.cli.verbs.posterior import posterior_asked, show_posterior
 from fitter.directions import vector_from_spherical
 from fitter.documents import FITS, read_document, write_bytes, write_document
 from fitter.errors import SpecError
-from fitter.model_spec import ModelSpec
 from fitter.quality import Check, Finding
 from fitter.spec import ModelSpec
 
