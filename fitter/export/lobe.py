@@ -32,6 +32,8 @@ _WIDTHS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 }  # fmt: skip
 #: Powers are of the half vector's cosine in these families, of the mirror direction's in others.
 _OF_HALF = ("torrance_sparrow", "blinn_phong")
+#: Below this share of the diffuse scale a specular one counts as none.
+_FAINT = 1e-3
 #: Before the parameters of a component, and behind those of one of several lobes.
 _AFFIXES = re.compile(r"^(?:(?:[a-f]|base|facet)_)+|_\d$")
 
@@ -42,6 +44,9 @@ def lobe_of(subject: Subject) -> Lobe:
     assert subject.model is not None
     model = subject.model
     values = {name: np.asarray(value, np.float64) for name, value in model.values.items()}
+    if "kd" in values and "ks" in values and values["ks"].max() < _FAINT * values["kd"].max():
+        # A lobe that nobody sees: its roughness means nothing.
+        return Lobe(WIDEST, WIDEST)
     if "alpha_x" in values:
         along, across = (_held(float(values[k].min())) for k in ("alpha_x", "alpha_y"))
         return Lobe(along, across, float(values["psi"].mean()))

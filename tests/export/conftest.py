@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import fitter
+from fitter.export import Exported, target
 from fitter.models import ReflectanceModel
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +38,16 @@ def make(name: str) -> ReflectanceModel:
     if "conductor" in name:
         chosen |= {"eta": [0.2, 0.4, 1.5], "kappa": [3.0, 2.0, 0.1]}
     return fitter.models.create(name, channels=("R", "G", "B"), **chosen)
+
+
+def held_to_the_contract(told: Exported) -> None:
+    """What holds for anything that was written: whole, alone, described, and its notes are sentences."""
+    entry = target(told.target)
+    assert [path.name for path in told.path.parent.iterdir()] == [told.path.name]
+    assert told.path.is_file() == bool(entry.suffix)
+    assert told.to_dict()["convention"] == entry.convention
+    assert all(note.message.endswith(".") for note in told.notes), told.notes
+    json.dumps(told.to_dict())
 
 
 def directions(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ import fitter
 from fitter.export import subject, write
 from fitter.export.fidelity import compared_pairs
 from fitter.models import ReflectanceModel
-from tests.export.conftest import FloatArray, make
+from tests.export.conftest import FloatArray, held_to_the_contract, make
 from tests.models.statistics import chi_square_p
 
 
@@ -37,7 +37,7 @@ def evaluated(mi: Any, bsdf: Any, wi: FloatArray, wo: FloatArray) -> FloatArray:
 @pytest.fixture(scope="module")
 def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[ReflectanceModel, Path]:
     model, path = make("torrance_sparrow"), tmp_path_factory.mktemp("rgl") / "m.bsdf"
-    write(model, "rgl", path)
+    held_to_the_contract(write(model, "rgl", path))
     return model, path
 
 

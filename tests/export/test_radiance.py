@@ -12,7 +12,7 @@ import pytest
 
 import fitter
 from fitter.export import write
-from tests.export.conftest import make
+from tests.export.conftest import held_to_the_contract, make
 
 #: Angles in degrees. One file a process: Radiance's library keeps what it has read.
 _ASK = """
@@ -36,6 +36,7 @@ def test_radiance_finds_the_reflectance(target: str, name: str, most: float, tmp
     model = make(name)
     path = tmp_path / "m.xml"
     told = write(model, target, path, channels=["G"])
+    held_to_the_contract(told)
     assert {"averaged", "reciprocity"} <= {note.code for note in told.notes}
     done = subprocess.run([sys.executable, "-c", _ASK, path], capture_output=True, text=True, check=True)
     thetas, hemi, mirror, back = (np.array(column) for column in json.loads(done.stdout))

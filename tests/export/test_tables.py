@@ -15,7 +15,7 @@ from fitter.errors import FitterError, SpecError
 from fitter.export import subject, target, write
 from fitter.export.fidelity import compared_pairs
 from fitter.export.subject import only
-from tests.export.conftest import make
+from tests.export.conftest import held_to_the_contract, make
 
 #: Of each format the 95 % quantile of the relative difference from "torrance_sparrow" (alpha 0.15), and what
 #: part of the compared directions the file may leave out.
@@ -32,6 +32,7 @@ def test_a_models_table_is_the_model(name: str, tmp_path: Path) -> None:
     channels = ["G"] if entry.channels == (1,) else None
     model = make("torrance_sparrow")
     told = write(model, name, path, channels=channels)
+    held_to_the_contract(told)
     back = fitter.load(path)
     # A model of fewer channels draws otherwise: its sampler goes by the light in all of them.
     source = subject(model) if channels is None else only(subject(model), channels)
