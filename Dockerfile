@@ -19,7 +19,7 @@ RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation . \
 FROM python:3.11-slim
 RUN useradd --create-home --uid 10001 brdf && mkdir /data && chown brdf /data
 COPY --from=build /opt/venv /opt/venv
-USER brdf
+USER 10001
 WORKDIR /home/brdf
 ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1
 VOLUME /data
