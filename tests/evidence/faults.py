@@ -107,7 +107,7 @@ def _run(
         "tables": len(seen.tables), "jobs": sum(ended.values()), "done": ended["done"],
         "failed with a reason": sum(ended[f"failed: {code}"] for code in faults_check.REASONS),
         "refused": ", ".join(f"{how} {count}" for how, count in sorted(seen.refused.items())) or "none",
-        "streams taken up again": seen.reconnected, "events": sum(len(one) for one in seen.jobs.values()),
+        "streams tried again": seen.reconnected, "events": sum(len(one) for one in seen.jobs.values()),
         "files that gc deleted": sum(deleted[one] for one in ("blobs", "results", "checkpoints", "uploads")),
     }  # fmt: skip
     return figures, violations
@@ -142,7 +142,7 @@ STUDY = Study(
     ),
     columns=(
         "workers killed", "schedulers killed", "servers killed", "disk full, s", "database away, s", "tables",
-        "jobs", "done", "failed with a reason", "refused", "streams taken up again", "events",
+        "jobs", "done", "failed with a reason", "refused", "streams tried again", "events",
         "files that gc deleted",
     ),
     models=databases,
