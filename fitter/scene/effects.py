@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.models import ReflectanceModel
+from fitter.scene import factors
 from fitter.scene.intervals import Interval, increasing
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
@@ -54,7 +55,9 @@ def effects(model: ReflectanceModel) -> tuple[str, ...]:
         found = ["diffuse", "specular"] if spec.diffuse != "none" else []
         found += ["fresnel"] if spec.fresnel not in (None, "none") and spec.diffuse != "coupled" else []
         found += ["masking"]
-        found += ["hammon"] if spec.ndf == "ggx" and spec.masking == "smith" and not spec.anisotropic else []
+        hammon = spec.ndf == "ggx" and spec.masking == "smith" and not spec.anisotropic
+        # Its bounds are those of a roughness up to 1.
+        found += ["hammon"] if hammon and float(np.max(np.asarray(model.values["alpha"]))) <= 1 else []
         return (*found, "anisotropy") if spec.anisotropic else tuple(found)
     return ()
 
@@ -125,12 +128,12 @@ def terms(
         value = increasing(level * one.lo, level * one.hi)
         found.append(Term(value, value * angles.lz, none if "diffuse" in off else one))
     if spec.family == "lambert" or values.get("ks", 0.0) == 0:
-        return found
+        return found or [Term(none, none, one)]
     if spec.family == "ward":
-        value, ratio = _ward(spec, values, off, angles)
+        value, ratio = factors.ward(spec, values, off, angles)
         lit = value * angles.lz
     else:
-        value, lit, ratio = _facets(spec, values, off, constants, angles, channel)
+        value, lit, ratio = factors.facets(spec, values, off, constants, angles, channel)
     found.append(Term(value * values["ks"], lit * values["ks"], none if "specular" in off else ratio))
     return found
 
@@ -145,269 +148,11 @@ def relative(parts: list[Term]) -> tuple[FloatArray, FloatArray, FloatArray]:
             wrong = (part.ratio - 1.0).abs_hi()
             rest = sum((other.value.lo for j, other in enumerate(parts) if j != k), np.zeros(shape))
             share = np.where(part.value.hi > 0, 1.0 / (1.0 + rest / part.value.hi), 0.0)
-            error += np.where(wrong > 0, wrong * share, 0.0)
+            error += np.where((wrong > 0) & (share > 0), wrong * share, 0.0)
             absolute += np.where((wrong > 0) & (part.lit.hi > 0), wrong * part.lit.hi, 0.0)
             total += part.lit.hi
     # Three roundings to nearest of positive numbers a term.
     return tuple(x * (1 + 1e-14) for x in (error, absolute, total))  # pyright: ignore[reportReturnType]
-
-
-def facet_cosine(angles: Angles) -> Interval:
-    """cos theta_d = sqrt((1 + l.v)/2)."""
-    return ((angles.dot + 1.0) * 0.5).sqrt().clip(0, 1)
-
-
-def reflectance(spec: ModelSpec, values: Mapping[str, float], c: Interval) -> Interval:
-    """The Fresnel term over an interval of cosines."""
-    one = Interval.of(np.ones(c.lo.shape))
-    if spec.fresnel == "schlick":
-        f0 = values["f0"]
-        return ((1.0 - c).clip(0, 1).power5() * (1.0 - f0) + f0).clip(0.0, max(1.0, f0))
-    if spec.fresnel == "dielectric":
-        n2 = Interval.of(values["eta"]).squared()
-        c2 = c.squared()
-        g = (n2 - 1.0 + c2).clip(0, np.inf).sqrt()
-        s = ((n2 - 1.0) / (c + g).squared()).squared()
-        p = ((n2 - 1.0) * (c2 * (n2 + 1.0) - 1.0) / (n2 * c + g).squared()).squared()
-        return ((s + p) * 0.5).clip(0, 1)
-    if spec.fresnel == "conductor":
-        eta, kappa = Interval.of(values["eta"]), Interval.of(values["kappa"])
-        c2 = c.squared()
-        s2 = (1.0 - c2).clip(0, 1)
-        q = eta.squared() - kappa.squared() - s2
-        m = (q.squared() + (2.0 * eta * kappa).squared()).sqrt()
-        a = ((m + q) * 0.5).clip(0, np.inf).sqrt()
-        # |g - c|^2/|g + c|^2 and |g c - s^2|^2/|g c + s^2|^2 of the root g, as 1 - 2x/(1 + x): one quotient.
-        x = 2.0 * a * c / (m + c2)
-        y = 2.0 * a * c * s2 / (m * c2 + s2.squared())
-        s = ((1.0 - x) / (1.0 + x)).clip(0, 1)
-        p = ((1.0 - y) / (1.0 + y)).clip(0, 1)
-        return (s * (p + 1.0) * 0.5).clip(0, 1)
-    return one
-
-
-def _facets(
-    spec: ModelSpec,
-    values: Mapping[str, float],
-    off: Off,
-    constants: Mapping[str, Any],
-    angles: Angles,
-    k: int,
-) -> tuple[Interval, Interval, Interval]:
-    density, round_density = _density(spec, values, angles)
-    visible, substitute = _visibility(spec, values, off, angles)
-    lit = visible * angles.lz
-    lit = Interval(lit.lo, np.minimum(lit.hi, _lit_visibility(spec, values, angles)))
-    fresnel = reflectance(spec, values, facet_cosine(angles))
-    ratio = substitute
-    if "fresnel" in off:
-        ratio = ratio * (Interval.of(float(np.asarray(constants["fresnel"])[k])) / fresnel)
-    if "anisotropy" in off:
-        ratio = ratio * (round_density / density)
-    value = density * visible * fresnel
-    return value.clip(0, np.inf), (density * lit * fresnel).clip(0, np.inf), ratio.clip(0, np.inf)
-
-
-def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> FloatArray:
-    """An upper bound of n.l V as one expression, which stays finite where both directions graze.
-
-    n.l V <= 1/(4 n.v (1 + Lambda_v)), and n.v (1 + Lambda_v), the mean of max(0, n.v + s t) over slopes t, is
-    at least n.v and what it is without n.v: s alpha/(2 sqrt(pi)) of Beckmann, s alpha/2 of GGX. V-grooves:
-    G/(4 n.v) <= (n.l + n.v)/(2 (1 + l.v)).
-    """
-    v = angles.vz
-    if spec.masking in (None, "v_groove"):
-        with np.errstate(divide="ignore"):
-            shaded = ((angles.lz + v) / ((angles.dot + 1.0) * 2.0)).hi
-            return np.minimum(shaded, 0.25 / v.lo * (1 + 1e-15))
-    least = min(values["alpha_x"], values["alpha_y"]) if spec.anisotropic else values["alpha"]
-    across = ((1.0 - v) * (1.0 + v)).clip(0, 1).sqrt().lo * least
-    floor = across / (2.0 * math.sqrt(math.pi)) if spec.ndf == "beckmann" else 0.5 * np.maximum(v.lo, across)
-    with np.errstate(divide="ignore"):
-        return 0.25 / np.maximum(v.lo, floor) * (1 + 1e-14)
-
-
-def _slopes(angles: Angles) -> Interval:
-    """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1."""
-    z = angles.lz + angles.vz
-    return ((angles.dot + 1.0) * 2.0 / z.squared() - 1.0).clip(0, np.inf)
-
-
-def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tuple[Interval, Interval]:
-    """D, and D of the mean roughness."""
-    tan2 = _slopes(angles)
-    if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        area = ax * ay
-    else:
-        ax = ay = values["alpha"]
-        area = ax * ay
-    scaled = tan2 / area
-    sec2 = tan2 + 1.0
-    if spec.ndf == "beckmann":
-        found = (-scaled).exp() * sec2.squared() * (1.0 / (math.pi * area))
-        return found, found
-    # The square of one quotient, (1 + t)/(1 + t/alpha^2) of t = tan^2, which is monotone.
-    lo, hi = tan2.lo, tan2.hi
-
-    def quotient(t: FloatArray) -> FloatArray:
-        with np.errstate(invalid="ignore"):
-            found = (1.0 + t) / (1.0 + t / area)
-        # Its limit, which it is within 1e-90 of.
-        return np.where(t > 1e100, area, found)
-
-    ends = quotient(lo), quotient(hi)
-    root = increasing(np.minimum(*ends), np.maximum(*ends))
-    round_density = root.squared() * (1.0 / (math.pi * area))
-    if not spec.anisotropic:
-        return round_density, round_density
-    x, y = _turned(values["psi"], angles)
-    z = (angles.lz + angles.vz).squared()
-    unequal = x.squared() * (1.0 / ax**2) + y.squared() * (1.0 / ay**2)
-    wide = Interval(np.zeros(lo.shape), np.full(lo.shape, np.inf))
-    stretched = (
-        (unequal / z)
-        .where(angles.flat, wide)
-        .meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
-    )
-    density = (sec2 / (stretched + 1.0)).squared() * (1.0 / (math.pi * area))
-    return density, round_density
-
-
-def _turned(psi: float, angles: Angles) -> tuple[Interval, Interval]:
-    """H_x, H_y in the frame of roughness."""
-    x, y = angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
-    c, s = math.cos(psi), math.sin(psi)
-    return x * c + y * s, y * c - x * s
-
-
-def _root(alpha2: float | Interval, c: Interval) -> Interval:
-    """sqrt(alpha^2 + (1 - alpha^2) c^2) over c in [0, 1]: monotone in c."""
-    a = alpha2 if isinstance(alpha2, Interval) else Interval.of(alpha2)
-    s2 = ((1.0 - c) * (1.0 + c)).clip(0, 1)
-    return (c.squared() + a * s2).sqrt()
-
-
-def _visibility(
-    spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles
-) -> tuple[Interval, Interval]:
-    """V = G/(4 n.l n.v), and V' / V of what takes its place."""
-    l, v = angles.lz, angles.vz
-    one = Interval.of(np.ones(l.lo.shape))
-    if spec.masking in (None, "v_groove"):
-        both = angles.dot + 1.0
-        g = ((l + v) * l.minimum(v) * 2.0 / both).clip(0, 1)
-        larger = l.maximum(v)
-        # G/(4 l v) is 1/(4 l v) or (l + v)/(2 (1 + l.v) max).
-        lit = (l * v).reciprocal() * 0.25
-        shaded = (l + v) / (both * larger * 2.0)
-        value = lit.minimum(shaded)
-        return value.clip(0, np.inf), (g.reciprocal() if "masking" in off else one)
-    if spec.ndf == "beckmann":
-        a, b = _beckmann(values["alpha"], l), _beckmann(values["alpha"], v)
-        g = (a + b + 1.0).reciprocal() if spec.masking == "smith" else ((a + 1.0) * (b + 1.0)).reciprocal()
-        value = g * 0.25 / (l * v)
-        return value.clip(0, np.inf), (g.reciprocal() if "masking" in off else one)
-    if spec.anisotropic:
-        return _anisotropic(values, off, angles)
-    alpha = values["alpha"]
-    p, q = _over_cosine(alpha, l), _over_cosine(alpha, v)
-    if spec.masking == "smith":
-        value = 0.5 / (v * _root(alpha**2, l) + l * _root(alpha**2, v))
-        inverse = (p + q) * 0.5
-    else:
-        value = 1.0 / ((l + _root(alpha**2, l)) * (v + _root(alpha**2, v)))
-        inverse = (p + 1.0) * (q + 1.0) * 0.25
-    if "masking" in off:
-        return value, inverse
-    if "hammon" in off:
-        a, b = l.reciprocal(), v.reciprocal()
-        plain = (a + b) * alpha + 2.0 * (1.0 - alpha)
-        with np.errstate(invalid="ignore"):
-            ratio = (p + q) / plain
-        # Each sum's terms: h/g lies between sqrt((1 + alpha)/2) and 1 (see the module).
-        least = math.sqrt((1.0 + alpha) / 2.0) * (1 - 1e-15)
-        ratio = Interval(np.nan_to_num(ratio.lo, nan=0.0), np.nan_to_num(ratio.hi, nan=1.0))
-        return value, ratio.clip(min(least, 1.0), 1.0)
-    return value, one
-
-
-def _over_cosine(alpha: float, c: Interval) -> Interval:
-    """sqrt(alpha^2/c^2 + 1 - alpha^2) for alpha up to 2: decreasing in c."""
-
-    def at(x: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):
-            return np.hypot(1.0, alpha * np.sqrt(np.maximum((1 - x) * (1 + x), 0.0)) / x)
-
-    return increasing(at(c.hi), at(c.lo))
-
-
-def _beckmann(alpha: float, c: Interval) -> Interval:
-    """Smith's Lambda = exp(-a^2) (1/(a sqrt(pi)) - erfcx(a))/2 of a = cot/alpha, decreasing in c. The
-    difference loses 2 a^2 units of rounding, and from a = 6 on Lambda is below 1e-17: widened by much
-    more."""
-    from scipy.special import erfcx
-
-    def at(x: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            a = x / (alpha * np.sqrt(np.maximum((1 - x) * (1 + x), 0.0)))
-            found = 0.5 * np.exp(-a * a) * (1.0 / (a * math.sqrt(math.pi)) - erfcx(a))
-        return np.where(x > 0, np.where(a < 6.0, np.maximum(found, 0.0), 0.0), np.inf)
-
-    low, high = at(c.hi), at(c.lo)
-    return Interval(low * (1 - 1e-9), high * (1 + 1e-9) + 1e-14)
-
-
-def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple[Interval, Interval]:
-    """Height-correlated Smith of two roughnesses; on spheres between those of either."""
-    ax, ay, psi = values["alpha_x"], values["alpha_y"], values["psi"]
-    l, v = angles.lz, angles.vz
-    mean = ax * ay
-
-    def projected(w: tuple[Interval, Interval], z: Interval) -> Interval:
-        c, s = math.cos(psi), math.sin(psi)
-        x, y = w[0] * c + w[1] * s, w[1] * c - w[0] * s
-        s2 = ((1.0 - z) * (1.0 + z)).clip(0, 1)
-        between = Interval((s2 * min(ax, ay) ** 2).lo, (s2 * max(ax, ay) ** 2).hi)
-        return (x.squared() * ax**2 + y.squared() * ay**2).where(angles.flat, between).meet(between)
-
-    exact = (
-        v * (l.squared() + projected(angles.l, l)).sqrt() + l * (v.squared() + projected(angles.v, v)).sqrt()
-    )
-    value = 0.5 / exact
-    if "masking" in off:
-        return value, exact / (l * v * 2.0)
-    if "anisotropy" in off:
-        return value, exact / (v * _root(mean, l) + l * _root(mean, v))
-    return value, Interval.of(np.ones(l.lo.shape))
-
-
-def _ward(
-    spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles
-) -> tuple[Interval, Interval]:
-    l, v = angles.lz, angles.vz
-    tan2 = _slopes(angles)
-    area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
-    exponent = tan2 / area
-    ratio = Interval.of(np.ones(l.lo.shape))
-    if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        x, y = _turned(values["psi"], angles)
-        z = (l + v).squared()
-        wide = Interval(np.zeros(l.lo.shape), np.full(l.lo.shape, np.inf))
-        unequal = ((x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z).where(angles.flat, wide)
-        unequal = unequal.meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
-        if "anisotropy" in off:
-            apart = x.squared() * (1 / ax**2 - 1 / area) + y.squared() * (1 / ay**2 - 1 / area)
-            ratio = (apart / z).where(angles.flat, unequal - exponent).exp()
-        exponent = unequal
-    if spec.variant == "bounded":
-        level = (angles.dot + 1.0) * (2.0 / (math.pi * area)) / (l + v).squared().squared()
-    elif spec.variant == "duer":
-        level = (1.0 / (4 * math.pi * area)) / (l * v)
-    else:
-        level = (1.0 / (4 * math.pi * area)) / (l * v).sqrt()
-    return ((-exponent).exp() * level).clip(0, np.inf), ratio
 
 
 def _oren_nayar(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles) -> Term:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
-from fitter.scene import effects, occlusion, operations
+from fitter.scene import effects, factors, occlusion, operations, wording
 from fitter.scene.assembly import Scene
-from fitter.scene.effects import WORDS, Off
+from fitter.scene.criteria import Criteria
+from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
@@ -93,7 +94,7 @@ def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict
     surfaces = surfaces or Surfaces(scene)
 
     def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
-        c = effects.facet_cosine(angles)
+        c = factors.facet_cosine(angles)
         return c.lo, c.hi
 
     low, high = hull(surfaces, surfaces.start(m, tuple(range(len(scene.lamps)))), cosines)
@@ -101,7 +102,7 @@ def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict
     c = Interval.of(np.linspace(min(low, high), max(low, high), 65))
     found: list[float] = []
     for k in range(len(one.model.channels)):
-        f = effects.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
+        f = factors.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
         least, most = float(f.min()), float(f.max())
         found.append(2 * least * most / (least + most) if most > 0 else 0.0)
     # As the kernels hold it.
@@ -112,15 +113,11 @@ class _Planner:
     def __init__(self, scene: Scene, tolerance: float, floor: float) -> None:
         self.scene, self.tolerance, self.floor = scene, tolerance, floor * FLOOR
         self.surfaces = Surfaces(scene)
+        self.criteria = Criteria(scene, self.surfaces, self.floor)
         self.lamps = tuple(range(len(scene.lamps)))
-        self.several = len(self.lamps) > 1 or not scene.lamps[0].is_delta
-        #: w of :mod:`fitter.scene.search`, and what it costs.
-        self.weight = 16.0 * len(self.lamps) if self.several else 1.0
-        self.stretch = 1.0 + len(self.lamps) / self.weight if self.several else 1.0
         #: Of each lamp whether nothing can stand before it, the boxes it took, points where it does.
         self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
         self.clear = [found for found, *_ in self.proofs]
-        self.skies = any(one.kind == "environment" for one in scene.lamps)
 
     def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]], float]:
         decisions: list[dict[str, Any]] = []
@@ -151,11 +148,11 @@ class _Planner:
         """The material with the cheapest set of effects whose joint bound is within what is ``left``."""
         name = self.scene.names[m]
         if not isinstance(one, ModelMaterial):
-            decisions.append(_kept(name, "all", "a raw table has no effects to leave out"))
+            decisions.append(wording.kept(name, "all", "a raw table has no effects to leave out"))
             return one, 0.0
         why = effects.unbounded(one.model)
         if why is not None:
-            decisions.append(_kept(name, "all", why))
+            decisions.append(wording.kept(name, "all", why))
             return one, 0.0
         start = self.surfaces.start(m, self.lamps)
         constants = constants_of(self.scene, m, self.surfaces)
@@ -165,21 +162,21 @@ class _Planner:
         for effect in effects.effects(one.model)[:_MOST]:
             off = frozenset({effect})
             saved[effect] = full - operations.of_material(replace(one, off=off, constants=constants))
-            single[effect] = self._decide(one, off, constants, start, left)
+            single[effect] = self.criteria.decide(one, off, constants, start, left)
         free = [effect for effect, found in single.items() if found.state == "bounded" and saved[effect] > 0]
         chosen, bound = frozenset[str](), 0.0
         failed: list[Off] = []
         for off in self._sets(free, one, constants):
             if any(bad <= off for bad in failed):
                 continue
-            found = self._decide(one, off, constants, start, left, tighten=True)
+            found = self.criteria.decide(one, off, constants, start, left, tighten=True)
             if found.state == "bounded":
                 chosen, bound = off, found.bound
                 break
             failed.append(off)
         for effect, found in single.items():
             decisions.append(
-                _judged(
+                wording.judged(
                     name, effect, found, effect in chosen, saved[effect], full, self._lengths(start), free
                 )
             )
@@ -195,96 +192,6 @@ class _Planner:
             for off in every if effects.compatible(off)
         }  # fmt: skip
         return sorted(cost, key=lambda off: (cost[off], sorted(off)))
-
-    def _decide(
-        self, one: ModelMaterial, off: Off, constants: Mapping[str, Any], start: Boxes, tolerance: float,
-        *, tighten: bool = False,
-    ) -> Decision:  # fmt: skip
-        """The joint error of a set of effects of one material."""
-        model = one.model
-        groups = self._channels(model)
-
-        def criterion(boxes: Boxes, angles: Angles) -> FloatArray:
-            worst = np.zeros(len(boxes))
-            for channel, members in groups:
-                e, absolute, _ = effects.relative(effects.terms(model, off, constants, angles, channel))
-                g = self._over_floor(absolute, boxes, angles, members)
-                worst = np.maximum(worst, np.fmin(e, self.weight * g))
-            return worst * self.stretch
-
-        def sampler(boxes: Boxes) -> FloatArray:
-            return self._sampled(boxes, model, off, constants, groups)
-
-        budget = {"budget": 2_000} if self.skies else {}
-        return decide(self.surfaces, start, criterion, sampler, tolerance, tighten=tighten, **budget)
-
-    def _channels(self, model: Any) -> list[tuple[int, list[int]]]:
-        """Channels of the scene that share a material's values: the model's channel, and which they are."""
-        groups: dict[tuple[float, ...], tuple[int, list[int]]] = {}
-        for c in range(len(self.scene.spec.channels)):
-            own = c if len(model.channels) > 1 else 0
-            key = tuple(
-                float(np.asarray(v).reshape(-1)[own if np.size(v) > 1 else 0]) for v in model.values.values()
-            )
-            groups.setdefault(key, (own, []))[1].append(c)
-        return list(groups.values())
-
-    def _over_floor(
-        self, value: FloatArray, boxes: Boxes, angles: Angles, members: Sequence[int]
-    ) -> FloatArray:
-        """An upper bound of radiance over 0.01 F, of values f n.l."""
-        level = np.array([one.level[list(members)].max() for one in self.scene.lamps])[boxes.lamp]
-        with np.errstate(invalid="ignore", over="ignore"):
-            found = value * angles.arriving.hi * level
-        # 0 times infinity: no light arrives there.
-        return (
-            np.nan_to_num(found, nan=0.0, posinf=np.inf) * (1 + 1e-14) / self.floor
-            if self.floor > 0
-            else np.full(len(boxes), np.inf)
-        )
-
-    def _sampled(
-        self, boxes: Boxes, model: Any, off: Off, constants: Mapping[str, Any],
-        groups: Sequence[tuple[int, list[int]]], dark: int | None = None, unshaded: int | None = None,
-    ) -> FloatArray:  # fmt: skip
-        """The error under all lamps, direct light only, at points of the picture; 0 elsewhere: of leaving out
-        effects, the lamp ``dark``, or what hides the lamp ``unshaded``."""
-        if self.skies:
-            return np.zeros(len(boxes))
-        count, channels = len(boxes), len(self.scene.spec.channels)
-        points = [(k, *one) for k in self.lamps for one in occlusion.spread(self.scene.lamps[k])]
-        many = len(points)
-        at = np.repeat(boxes.low, many, axis=0)
-        at[:, 2:] = np.tile([[s, t] for _, s, t, _ in points], (count, 1))
-        lamp = np.tile([k for k, *_ in points], count)
-        one = Boxes(np.repeat(boxes.primitive, many), lamp, at, at)
-        angles = self.surfaces.angles(one)
-        hidden = occlusion.shaded(self.surfaces, one, angles)
-        lit = angles.seen & ~hidden
-        share = np.tile([share for *_, share in points], count)
-        arriving = np.where(lit, angles.lz.mid * angles.arriving.mid * share, 0.0)
-        change, whole = np.zeros((count, channels)), np.zeros((count, channels))
-        for channel, members in groups:
-            parts = effects.terms(model, off, constants, angles, channel)
-            with np.errstate(invalid="ignore"):
-                total = sum((p.value.mid for p in parts), np.zeros(len(lamp)))
-                wrong = sum(((p.ratio.mid - 1) * p.value.mid for p in parts), np.zeros(len(lamp)))
-                radiance = np.where(arriving > 0, np.stack([total, wrong]) * arriving, 0.0)
-            radiance = np.nan_to_num(radiance, nan=0.0, posinf=0.0, neginf=0.0)
-            if dark is not None:
-                radiance[1] = np.where(lamp == dark, radiance[0], 0.0)
-            if unshaded is not None:
-                bright = np.where(angles.seen, angles.lz.mid * angles.arriving.mid * share, 0.0)
-                added = (lamp == unshaded) & hidden
-                radiance[1] = np.where(added, np.nan_to_num(total * bright, nan=0.0, posinf=0.0), 0.0)
-            for c in members:
-                level = np.array([one.level[c] for one in self.scene.lamps])[lamp]
-                sums = (radiance * level).reshape(2, count, many).sum(axis=2)
-                whole[:, c], change[:, c] = sums
-        error = np.abs(change) / np.maximum(whole, self.floor)
-        first = angles.take(np.arange(0, len(lamp), many))
-        shown = self.surfaces.inside(boxes) & occlusion.shown(self.surfaces, boxes, first)
-        return np.where(shown, error.max(axis=1), 0.0)
 
     def _lengths(self, start: Boxes) -> float:
         """The largest angle from the normal, degrees, that light or viewer make where something is seen."""
@@ -323,27 +230,10 @@ class _Planner:
             gone = k in best
             sentence = (
                 f"light {k} ({kind}) off where the camera looks: error <= {100 * found.bound:.2g} %"
-                if gone else f"light {k} ({kind}) kept: " + _reason(found)
+                if gone else f"light {k} ({kind}) kept: " + wording.reason(found)
             )  # fmt: skip
-            decisions.append(_decision("light", str(k), found, gone, sentence))
+            decisions.append(wording.decision("light", str(k), found, gone, sentence))
         return set(best), sum(bounds[k].bound for k in best)
-
-    def _certain(
-        self, model: Any, channel: int, boxes: Boxes, others: Sequence[int], members: Sequence[int]
-    ) -> FloatArray:
-        """A lower bound of the radiance over 0.01 F that lamps without extent, never shaded, give everywhere
-        in boxes."""
-        found = np.zeros(len(boxes))
-        for j in others:
-            beside = replace(boxes, lamp=np.full(len(boxes), j))
-            angles = self.surfaces.angles(beside)
-            parts = effects.terms(model, frozenset(), {}, angles, channel)
-            low = sum((part.value.lo for part in parts), np.zeros(len(boxes)))
-            level = self.scene.lamps[j].level[list(members)].min()
-            with np.errstate(invalid="ignore"):
-                radiance = low * angles.lz.lo * angles.arriving.lo * level
-            found += np.nan_to_num(radiance, nan=0.0, posinf=0.0)
-        return found * (1 - 1e-14) / self.floor
 
     def _lamp(self, k: int, others: Sequence[int]) -> Decision | None:
         """How much light k adds, beside that of ``others``, which nothing shades, and over 0.01 F at
@@ -355,7 +245,7 @@ class _Planner:
             if not isinstance(one, ModelMaterial) or (effects.unbounded(one.model) is not None):
                 return None
             model = one.model
-            groups = self._channels(model)
+            groups = self.criteria.channels(model)
 
             def criterion(
                 boxes: Boxes, angles: Angles, model: Any = model, groups: Any = groups
@@ -363,8 +253,8 @@ class _Planner:
                 found = np.zeros(len(boxes))
                 for channel, members in groups:
                     parts = effects.terms(model, frozenset(), {}, angles, channel)
-                    mine = self._over_floor(effects.relative(parts)[2], boxes, angles, members)
-                    rest = self._certain(model, channel, boxes, others, members)
+                    mine = self.criteria.over_floor(effects.relative(parts)[2], boxes, angles, members)
+                    rest = self.criteria.certain(model, channel, boxes, others, members)
                     with np.errstate(invalid="ignore", divide="ignore"):
                         beside = np.where(mine > 0, 1.0 / (1.0 + rest / mine), 0.0)
                     found = np.maximum(found, np.fmin(mine, beside * (1 + 1e-14)))
@@ -373,7 +263,7 @@ class _Planner:
             start = self.surfaces.start(m, (k,))
 
             def sampler(boxes: Boxes, model: Any = model, groups: Any = groups) -> FloatArray:
-                return self._sampled(boxes, model, frozenset(), {}, groups, dark=k)
+                return self.criteria.sampled(boxes, model, frozenset(), {}, groups, dark=k)
 
             found = decide(self.surfaces, start, criterion, sampler, self.tolerance, budget=2_000)
             if found.state != "bounded":
@@ -391,8 +281,8 @@ class _Planner:
             one = self.scene.materials[m]
             if isinstance(one, ModelMaterial) and effects.unbounded(one.model) is None:
                 mine = witness.take(self.surfaces.material[witness.primitive] == m)
-                groups = self._channels(one.model)
-                met = self._sampled(mine, one.model, frozenset(), {}, groups, unshaded=k)
+                groups = self.criteria.channels(one.model)
+                met = self.criteria.sampled(mine, one.model, frozenset(), {}, groups, unshaded=k)
                 error = max(error, float(met.max(initial=0.0)))
         if clear:
             found = Decision("bounded", 0.0, 0.0, boxes)
@@ -401,8 +291,8 @@ class _Planner:
             )
         else:
             found = Decision("needed" if error > self.tolerance else "open", float("inf"), error, boxes)
-            sentence = f"shadows of light {k} ({kind}) kept: {_reason(found)}"
-        decisions.append(_decision("shadows", str(k), found, clear, sentence))
+            sentence = f"shadows of light {k} ({kind}) kept: {wording.reason(found)}"
+        decisions.append(wording.decision("shadows", str(k), found, clear, sentence))
         return not clear
 
     def _bounces(self, decisions: list[dict[str, Any]]) -> int:
@@ -418,53 +308,7 @@ class _Planner:
             if alone else "reflections between shapes kept: surfaces face each other"
         )  # fmt: skip
         if not alone:
-            decisions.append({**_kept("all", "bounces", ""), "sentence": sentence})
+            decisions.append({**wording.kept("all", "bounces", ""), "sentence": sentence})
             return wanted
-        decisions.append(_decision("bounces", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence))
+        decisions.append(wording.decision("bounces", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence))
         return 0
-
-
-def _judged(
-    name: str, effect: str, found: Decision, gone: bool, saved: float, full: float, degrees: float,
-    free: Sequence[str],
-) -> dict[str, Any]:  # fmt: skip
-    words = WORDS[effect]
-    if gone:
-        sentence = (
-            f"{words} of {name} off: directions stay within {degrees:.0f} degrees of the normal, "
-            f"error <= {100 * found.bound:.2g} %"
-        )
-    elif found.state == "bounded" and effect not in free:
-        sentence = f"{words} of {name} kept: leaving it out saves nothing"
-    elif found.state == "bounded":
-        sentence = f"{words} of {name} kept: with what else is left out it would exceed the tolerance"
-    else:
-        sentence = f"{words} of {name} kept: {_reason(found)}"
-    return {
-        **_decision(effect, name, found, gone, sentence), "saved_operations": saved,
-        "material_operations": full,
-    }  # fmt: skip
-
-
-def _reason(found: Decision) -> str:
-    if found.state == "needed":
-        return f"without it a point is {100 * found.found:.2g} % off"
-    if found.state == "bounded":
-        return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
-    bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
-    return f"not proved ({bound} after {found.boxes} boxes)"
-
-
-def _decision(effect: str, subject: str, found: Decision, gone: bool, sentence: str) -> dict[str, Any]:
-    return {
-        "effect": effect, "subject": subject, "off": gone, "state": found.state,
-        "bound": found.bound if np.isfinite(found.bound) else None, "found": found.found,
-        "boxes": found.boxes, "sentence": sentence,
-    }  # fmt: skip
-
-
-def _kept(name: str, effect: str, why: str) -> dict[str, Any]:
-    return {
-        "effect": effect, "subject": name, "off": False, "state": "not-bounded", "bound": None, "found": 0.0,
-        "boxes": 0, "sentence": f"{name}: {why}",
-    }  # fmt: skip

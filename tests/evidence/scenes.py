@@ -120,7 +120,7 @@ def random_scene(rng: np.random.Generator) -> dict[str, Any]:
     def light() -> dict[str, Any]:
         away = 3.0 * np.array(direction())
         kinds: list[dict[str, Any]] = [
-            {"kind": "directional", "direction": away.tolist(), "irradiance": float(np.exp(rng.uniform(-3, 1)))},
+            {**SUN, "direction": away.tolist(), "irradiance": float(np.exp(rng.uniform(-3, 1)))},
             {"kind": "point", "position": away.tolist(), "intensity": float(np.exp(rng.uniform(-5, 2)))},
             {
                 "kind": "area", "center": away.tolist(), "normal": (-away).tolist(), "size": [0.5, 0.5],
@@ -200,8 +200,8 @@ def judge(name: str, share: float, seed: int) -> Outcome:
 STUDY = Study(
     name="scenes",
     title="Scenes: effects left out, and what that changes",
-    claim="Of effects that a plan leaves out of a scene, the error at every point stays below the plan's bound, "
-    "and the bound below the tolerance, at 0.1 %, 1 % and 10 %",
+    claim="Of effects that a plan leaves out of a scene, the error at every point stays below the plan's "
+    "bound, and the bound below the tolerance, at 0.1 %, 1 % and 10 %",
     columns=(
         "scenes", "decisions", "off", "open", "largest bound", "its true error", "bound / true, median",
         "bound / true, 90 %", "operations saved at 1 %", "planning s, median",

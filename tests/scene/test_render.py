@@ -64,14 +64,14 @@ def _with_table(doc: dict[str, Any], table: Table) -> Scene:
 
 def test_a_raw_table_renders_as_its_interpolant_by_brute_force(measured: Table) -> None:
     sun = {"kind": "area", "center": [3, 0, 4], "normal": [-3, 0, -4], "size": [2, 2], "radiance": 2.0}
-    found = _with_table(flat({}, 40.0, [*WHITE, sun], width=20, height=20, fov_deg=20), measured)
-    picture = render(found, samples=32, seed=5)
+    found = _with_table(flat({}, 40.0, [*WHITE, sun], width=16, height=16, fov_deg=20), measured)
+    picture = render(found, samples=24, seed=5)
 
     # Uniform directions of the hemisphere, each looked up; nothing of the renderer's light or material code.
-    rng, n = np.random.default_rng(7), 400 * 128
+    rng, n = np.random.default_rng(7), 256 * 128
     o, d = k.camera_rays(
         jnp.asarray(k.camera_basis(found.spec.camera)), jnp.asarray(found.spec.camera.position),
-        jnp.asarray([20, 20]), jnp.tile(jnp.arange(400), 128), jnp.asarray(rng.random((n, 2))),
+        jnp.asarray([16, 16]), jnp.tile(jnp.arange(256), 128), jnp.asarray(rng.random((n, 2))),
     )  # fmt: skip
     o, d = np.asarray(o), np.asarray(d)
     point = o - (o[:, 2] / d[:, 2])[:, None] * d
@@ -84,11 +84,11 @@ def test_a_raw_table_renders_as_its_interpolant_by_brute_force(measured: Table) 
     at = point + t[:, None] * l - centre
     lit = (down > 0) & (t > 0) & (np.abs(at[:, 1]) <= 1) & (np.abs(at @ np.array([0.8, 0, -0.6])) <= 1)
     brute = np.maximum(np.nan_to_num(f[:, 0]), 0) * z * 2 * np.pi * (1.0 + 2.0 * lit)
-    brute = brute.reshape(128, 400)
+    brute = brute.reshape(128, 256)
     ours = picture.radiance.reshape(-1), picture.standard_error.reshape(-1)
     theirs = brute.mean(axis=0), brute.std(axis=0) / np.sqrt(len(brute) - 1)
     assert_standard_normal(z_scores(ours, theirs))
-    spread = float(np.hypot(np.sqrt((ours[1] ** 2).sum()), np.sqrt((theirs[1] ** 2).sum()))) / 400
+    spread = float(np.hypot(np.sqrt((ours[1] ** 2).sum()), np.sqrt((theirs[1] ** 2).sum()))) / 256
     assert abs(ours[0].mean() - theirs[0].mean()) < 3 * spread
 
 
@@ -102,19 +102,19 @@ def test_what_a_table_can_t_say_is_said(measured: Table) -> None:
     assert picture.tables["m"]["extrapolated_share"] > 0
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_the_same_seed_gives_the_same_picture_and_no_pixel_is_negative(precision: Any) -> None:
+def test_the_same_seed_gives_the_same_picture() -> None:
     found = scene(document())
-    a, b, c = (render(found, samples=2, seed=seed, precision=precision) for seed in (1, 1, 2))
+    a, b, c = (render(found, samples=2, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(a.radiance, b.radiance)
     assert not np.array_equal(a.radiance, c.radiance)
-    assert np.isfinite(a.radiance).all()
-    assert (a.radiance >= 0).all()
 
 
 def test_float32_is_float64_to_its_rounding() -> None:
     found = scene(document())
     a, b = (render(found, samples=4, precision=p) for p in ("float32", "float64"))  # pyright: ignore[reportArgumentType]
+    for one in (a, b):
+        assert np.isfinite(one.radiance).all()
+        assert (one.radiance >= 0).all()
     apart = np.abs(a.radiance - b.radiance) / b.reference
     # Rays at rims and shadows' edges end elsewhere; all others differ by rounding.
     assert np.quantile(apart, 0.95) < 1e-4

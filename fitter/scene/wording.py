@@ -1,0 +1,57 @@
+"""Decisions in words and as documents: each in a sentence with its number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fitter.scene.effects import WORDS
+from fitter.scene.search import Decision
+
+
+def judged(
+    name: str, effect: str, found: Decision, gone: bool, saved: float, full: float, degrees: float,
+    free: Sequence[str],
+) -> dict[str, Any]:  # fmt: skip
+    words = WORDS[effect]
+    if gone:
+        sentence = (
+            f"{words} of {name} off: directions stay within {degrees:.0f} degrees of the normal, "
+            f"error <= {100 * found.bound:.2g} %"
+        )
+    elif found.state == "bounded" and effect not in free:
+        sentence = f"{words} of {name} kept: leaving it out saves nothing"
+    elif found.state == "bounded":
+        sentence = f"{words} of {name} kept: with what else is left out it would exceed the tolerance"
+    else:
+        sentence = f"{words} of {name} kept: {reason(found)}"
+    return {
+        **decision(effect, name, found, gone, sentence), "saved_operations": saved,
+        "material_operations": full,
+    }  # fmt: skip
+
+
+def reason(found: Decision) -> str:
+    if found.state == "needed":
+        return f"without it a point is {100 * found.found:.2g} % off"
+    if found.state == "bounded":
+        return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
+    bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
+    return f"not proved ({bound} after {found.boxes} boxes)"
+
+
+def decision(effect: str, subject: str, found: Decision, gone: bool, sentence: str) -> dict[str, Any]:
+    return {
+        "effect": effect, "subject": subject, "off": gone, "state": found.state,
+        "bound": found.bound if np.isfinite(found.bound) else None, "found": found.found,
+        "boxes": found.boxes, "sentence": sentence,
+    }  # fmt: skip
+
+
+def kept(name: str, effect: str, why: str) -> dict[str, Any]:
+    return {
+        "effect": effect, "subject": name, "off": False, "state": "not-bounded", "bound": None, "found": 0.0,
+        "boxes": 0, "sentence": f"{name}: {why}",
+    }  # fmt: skip
