@@ -66,7 +66,7 @@ _LAZY = {
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
     "calibration", "compression", "datasets", "directions", "fitting", "formats", "models", "posterior",
-    "quality", "report", "sampling", "selection", "spec", "table", "tradeoffs",
+    "quality", "report", "sampling", "scene", "selection", "spec", "table", "tradeoffs",
 )  # fmt: skip
 
 
