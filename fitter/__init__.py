@@ -65,8 +65,8 @@ _LAZY = {
 
 # Rooms that can be reached as attributes; fitter.posterior is itself callable, see there.
 _ROOMS = (
-    "calibration", "compression", "datasets", "directions", "export", "fitting", "formats", "models",
-    "posterior", "quality", "report", "sampling", "selection", "spec", "table", "tradeoffs",
+    "batch", "calibration", "compression", "datasets", "directions", "export", "fitting", "formats", "models",
+    "posterior", "quality", "report", "sampling", "scene", "selection", "spec", "table", "tradeoffs",
 )  # fmt: skip
 
 

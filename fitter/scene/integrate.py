@@ -108,26 +108,14 @@ class Integrator:
             if one.is_delta:
                 continue
             if one.kind == "area":
-                light, pdf = self.call(
-                    lights.seen_area,
-                    self.place[k],
-                    self.frame[k],
-                    self.half[k],
-                    self.level[k],
-                    o,
-                    d,
-                    reach,  # pyright: ignore[reportArgumentType]
-                )
+                lamp = self.place[k], self.frame[k], self.half[k], self.level[k]
+                light, pdf = self.call(lights.seen_area, *lamp, o, d, reach)
             else:
                 light, pdf = self.call(lights.seen_sky, self.skies[k], d)
                 light = jnp.where(jnp.isinf(reach)[:, None], light, 0.0)
             if drawn is not None:
-                light = (
-                    light
-                    * self.call(_share, jnp.asarray(drawn.pdf), pdf, samples, jnp.asarray(drawn.is_delta))[
-                        :, None
-                    ]
-                )
+                own, ideal = jnp.asarray(drawn.pdf), jnp.asarray(drawn.is_delta)
+                light = light * self.call(_share, own, pdf, samples, ideal)[:, None]
             total = total + light
         return total
 
@@ -140,7 +128,7 @@ class Integrator:
         if one.kind == "area":
             return self.call(
                 lights.from_area, self.place[k], self.frame[k], self.half[k], self.level[k], point, u
-            )  # pyright: ignore[reportArgumentType]
+            )
         return self.call(lights.from_sky, self.skies[k], u)
 
     def _scatter(

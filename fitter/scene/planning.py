@@ -39,10 +39,6 @@ class Plan:
     settings: Settings
     document: Mapping[str, Any]
 
-    def sentences(self) -> list[str]:
-        """Each decision in a sentence with its number."""
-        return [str(one["sentence"]) for one in self.document["decisions"]]
-
 
 def plan(scene: Scene, *, tolerance: float | None = None, seed: int = 0, progress: Progress = ignore) -> Plan:
     """Which effects of the scene stay below ``tolerance`` (default: the scene's) together, everywhere.

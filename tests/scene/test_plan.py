@@ -255,8 +255,8 @@ def test_materials_without_light_or_beyond_a_substitute() -> None:
     assert planned.document["bound"] == 0
     rough = create(model_spec(GGX["model"]), kd=0.1, ks=1.0, f0=0.1, alpha=1.5)
     assert "hammon" not in effects.effects(rough)
-    layered = one({"model": "kulla_conty", "values": {"alpha": 0.3}}, PLANE, [SUN])
-    kept = [d for d in plan(layered).document["decisions"] if d["subject"] == "m"]
+    lobes = one({"model": "lafortune"}, PLANE, [SUN])
+    kept = [d for d in plan(lobes).document["decisions"] if d["subject"] == "m"]
     assert [d["state"] for d in kept] == ["not-bounded"]
 
 
