@@ -150,7 +150,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, environment: dict[str, str
                 try:
                     urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=1).close()
                     break
-                except urllib.error.URLError:
+                except (urllib.error.URLError, TimeoutError):
                     time.sleep(0.05)
             yield f"http://127.0.0.1:{port}"
         finally:
