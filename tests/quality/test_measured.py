@@ -27,7 +27,9 @@ def test_reciprocity_tells_which_quantity_a_tape_holds(shared: Path) -> None:
     assert as_brdf["reciprocity"].numbers["relative_rms"] > 0.4
     corrected = check(load(path, quantity="ccbrdf"))
     assert corrected["quantity"].verdict == "ok"
-    assert corrected["reciprocity"].numbers["relative_rms"] < 0.1
+    # Two of the pairs lie on the very edge of what counts as one: rounding decides about them.
+    assert corrected["reciprocity"].numbers["relative_rms"] < 0.12
+    assert corrected["reciprocity"].numbers["relative_rms_beyond_noise"] == 0.0
     assert corrected["convention"].verdict == "notice"
     assert "retro-reflector" in corrected["convention"].sentence
 
