@@ -11,15 +11,11 @@ from sqlalchemy import ColumnElement
 
 from api.keys import Caller
 from api.problems import Problem
-from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, Row, SceneRow, TableRow, TradeoffRow
+from api.rows import Row
 from api.service import Service
 from api.sessions import new_id
 
 _R = TypeVar("_R", bound=Row)
-_NOUNS: dict[type[Row], str] = {
-    TableRow: "table", JobRow: "job", ModelRow: "model", PosteriorRow: "posterior", TradeoffRow: "tradeoff",
-    CalibrationRow: "calibration", SceneRow: "scene",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class Mine:
         """The row. Raises Problem (404)."""
         row = self.find(kind, id)
         if row is None:
-            raise Problem.not_found(noun or _NOUNS[kind], id)
+            raise Problem.not_found(noun or kind.__tablename__.removesuffix("s"), id)
         return row
 
     def page(
@@ -53,6 +49,12 @@ class Mine:
         """Rows, newest first, and how many there are in all."""
         whose = () if self.caller.sees_all else (kind.owner == self.caller.owner,)
         return self.service.store.page(kind, limit, offset, *whose, *where)
+
+    def drawn(self, kind: type[_R], id: str, suffix: str) -> bytes:
+        """What was drawn of a result before its row was published: "png", say. Raises Problem (404)."""
+        content = self.service.results.report(self.get(kind, id).id, suffix)
+        assert content is not None
+        return content
 
     def new_id(self) -> str:
         """The id of what this request makes."""

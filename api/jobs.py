@@ -9,9 +9,9 @@ import time
 from api.engine import Engine, Lost
 from api.metrics import Metrics
 from api.problems import document
-from api.programs import forget_when_many
 from api.rows import JobRow
 from api.store import Store, new_id
+from fitter.memory_maps import forget_when_many
 
 _log = logging.getLogger("brdf_fitter.api")
 

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from api.client import Client, Document, ServiceFailed
 from api.schemas import TableDocument
 from fitter.cli import reading
-from fitter.cli.results import show_fit
+from fitter.cli.results import fits_document, show_fit
 from fitter.cli.screen import Screen
 from fitter.cli.values import output_file, output_folder
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome
 from fitter.cli.verbs import fit as fit_verb
 from fitter.cli.verbs import sample as sample_verb
 from fitter.cli.verbs.check import show_check
-from fitter.cli.verbs.info import file_stem, show_table
+from fitter.cli.verbs.info import show_table
 from fitter.cli.verbs.posterior import posterior_asked, show_posterior
 from fitter.directions import vector_from_spherical
-from fitter.documents import FITS, read_document, write_bytes, write_document
+from fitter.documents import FITS, file_stem, read_document, write_bytes, write_document
 from fitter.errors import SpecError
 from fitter.quality import Check, Finding
 from fitter.spec import ModelSpec
@@ -138,12 +138,10 @@ def _fit(client: Client, given: argparse.Namespace, screen: Screen) -> Outcome:
             screen.line(f"written: {', '.join(written)}")
 
     status = WORK_FAILED if failures else DONE
-    if selection is None and len(fits) == 1 and not failures:
-        return Outcome(fits[0], show, status)
-    if len(failures) == 1 and not fits:
-        return Outcome({"error": failures[0]["error"]}, show, status)
-    document = {"kind": FITS, "fits": fits, "failures": failures}
-    return Outcome(document if selection is None else {**document, "selection": selection}, show, status)
+    document = fits_document(fits, failures)
+    if selection is not None:
+        document = {"kind": FITS, "fits": fits, "failures": failures, "selection": selection}
+    return Outcome(document, show, status)
 
 
 def _remembering(document: Document, given: argparse.Namespace) -> Document:

@@ -1,4 +1,4 @@
-"""Results: one JSON document a fit, posterior, calibration or tradeoff, named by the row's id."""
+"""Results: one JSON document a fit, posterior, calibration, tradeoff or scene, named by the row's id."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fitter.documents import dumps
 from fitter.errors import SpecError
 
 #: What is drawn of a result.
-KINDS = ("json", "html", "pdf", "png")
+KINDS = ("json", "html", "pdf", "png", "exr")
 
 
 class Results:

@@ -170,3 +170,7 @@ class IdempotencyRow(Base):
     status: Mapped[int | None] = mapped_column(Integer, default=None)
     headers: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
     body: Mapped[bytes | None] = mapped_column(LargeBinary, default=None)
+
+
+#: Rows that result documents are named by.
+RESULTS: tuple[type[Row], ...] = (ModelRow, PosteriorRow, TradeoffRow, CalibrationRow, SceneRow)

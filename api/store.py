@@ -10,17 +10,7 @@ from pathlib import Path
 from sqlalchemy import func, select, text
 
 from api.queue import Missing, Queue, QueueFull
-from api.rows import (
-    QUEUED,
-    RUNNING,
-    CalibrationRow,
-    JobRow,
-    ModelRow,
-    PosteriorRow,
-    SceneRow,
-    TableRow,
-    TradeoffRow,
-)
+from api.rows import QUEUED, RESULTS, RUNNING, JobRow, TableRow
 from api.sessions import is_id, new_id
 
 __all__ = ["InUse", "Missing", "QueueFull", "Store", "new_id"]
@@ -76,6 +66,6 @@ class Store(Queue):
         with self.reading() as session:
             by_state = session.execute(select(JobRow.state, func.count()).group_by(JobRow.state))
             found = {"jobs": {str(state): int(count) for state, count in by_state}}
-            for kind in (TableRow, ModelRow, PosteriorRow, TradeoffRow, CalibrationRow, SceneRow):
+            for kind in (TableRow, *RESULTS):
                 found[kind.__tablename__] = {"": session.scalar(select(func.count()).select_from(kind)) or 0}
             return found

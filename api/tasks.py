@@ -15,7 +15,6 @@ from typing import Literal
 from api.attempt import Attempt, Ended
 from api.blobs import Blobs
 from api.place import Place
-from api.programs import forget_when_many
 from api.results import Results
 from api.rows import JobRow
 from api.storage import open_storage
@@ -23,6 +22,7 @@ from api.store import Store
 from api.tables import OpenTables
 from api.work import Worker
 from fitter import _jax
+from fitter.memory_maps import forget_when_many
 
 #: Parsed tables that a worker keeps in memory.
 TABLES = 2

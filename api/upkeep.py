@@ -15,23 +15,11 @@ from sqlalchemy import delete, select
 from api.blobs import Blobs
 from api.place import Place
 from api.results import Results
-from api.rows import (
-    FINAL,
-    CalibrationRow,
-    EventRow,
-    JobRow,
-    ModelRow,
-    PosteriorRow,
-    SceneRow,
-    TableRow,
-    TradeoffRow,
-)
+from api.rows import FINAL, RESULTS, EventRow, JobRow, TableRow
 from api.storage import Storage, open_storage
 from api.store import Store
 from fitter.errors import SpecError
 
-#: Rows that result documents are named by.
-RESULTS = (ModelRow, PosteriorRow, TradeoffRow, CalibrationRow, SceneRow)
 #: Seconds for which a file may lie there without a row: its upload or its job may be about to make one.
 GRACE = 86_400.0
 
@@ -96,7 +84,9 @@ def _stray(storage: Storage, folder: str, grace: float, named: Callable[[str], b
         file = name.rpartition("/")[2]
         # Files on their way begin with a dot, or end with .part.
         id = file.partition(".")[0]
-        if file.startswith(".") or file.endswith(".part") or not known.setdefault(id, named(id)):
+        if id not in known:
+            known[id] = named(id)
+        if file.startswith(".") or file.endswith(".part") or not known[id]:
             storage.drop(name)
             count += 1
     return count

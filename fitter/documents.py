@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,6 +34,11 @@ def floats(nested: Any) -> NDArray[np.float64]:
 def dumps(document: Mapping[str, Any]) -> bytes:
     """Compact JSON; numpy scalars and arrays are understood, NaN becomes null."""
     return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def file_stem(name: str, longest: int = 80) -> str:
+    """A table's name as that of a file, which every file system takes."""
+    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:longest] or "table"
 
 
 def write_bytes(content: bytes, path: Path) -> None:

@@ -55,9 +55,12 @@ def kept(*static: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
             folder = _folder(leaves, ordered)
             if folder is None:
                 return jitted(*args, **keywords)
-            shapes = tuple((a.shape, str(a.dtype), a.weak_type) for a in map(jax.typeof, leaves))
-            exporter = export.export(jitted, disabled_checks=_UNCHECKED)
-            asked = _Asked((str(tree), shapes), lambda: exporter(*ordered))
+            shapes = tuple((a.shape, a.dtype, a.weak_type) for a in map(jax.typeof, leaves))
+
+            def make() -> export.Exported:
+                return export.export(jitted, disabled_checks=_UNCHECKED)(*ordered)
+
+            asked = _Asked((tree, shapes), make)
             program = _program(folder, told, tuple((name, given[name]) for name in static), asked)
             return cast("R", program(*arrays))
 
@@ -80,20 +83,20 @@ class _Asked:
         return isinstance(other, _Asked) and self.arrays == other.arrays
 
 
-def _folder(leaves: Sequence[Any], given: Sequence[object]) -> Path | None:
+def _folder(leaves: Sequence[Any], given: Sequence[object]) -> str | None:
     """Where programs are kept; None where they are not, or where this one is part of a larger program."""
     place: str | None = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if place is None or jax.default_backend() != "cpu" or any(isinstance(a, Tracer) for a in leaves):
         return None
     families = [family for a in given if isinstance(family := getattr(a, "family", None), type)]
-    return Path(place) if all(family.__module__.startswith("fitter.") for family in families) else None
+    return place if all(family.__module__.startswith("fitter.") for family in families) else None
 
 
 @functools.lru_cache(maxsize=512)
-def _program(folder: Path, told: str, settled: tuple[tuple[str, Hashable], ...], asked: _Asked) -> Any:
+def _program(folder: str, told: str, settled: tuple[tuple[str, Hashable], ...], asked: _Asked) -> Any:
     """The program as a function of its arrays: from its file, else traced and written there."""
     name = hashlib.sha256(repr((told, settled, asked.arrays, _surroundings())).encode()).hexdigest()
-    path = folder / f"program-{name[:40]}"
+    path = Path(folder) / f"program-{name[:40]}"
     found = _read(path)
     if found is None:
         found = asked.make()

@@ -116,7 +116,13 @@ class RepeatEstimate:
 
     def add(self, wi: FloatArray, wo: FloatArray) -> None:
         """Take note of the pairs (n, 3)."""
-        self._keys = np.concatenate([self._keys, self._few(np.stack([_packed(wi), _packed(wo)]))], axis=1)
+        keys = np.empty((2, len(wi)), np.uint64)
+
+        def pack(part: slice) -> None:
+            keys[0, part], keys[1, part] = _packed(wi[part]), _packed(wo[part])
+
+        in_parts(pack, len(wi))
+        self._keys = np.concatenate([self._keys, self._few(keys)], axis=1)
         while self._keys.shape[1] > self._most:
             self._bits += 1
             self._keys = self._few(self._keys)

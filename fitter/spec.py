@@ -11,10 +11,10 @@ from pydantic import BaseModel, Field, model_validator
 from fitter.model_spec import CANON, FAMILIES, OPTIONS, Frozen, ModelSpec, Options, model_spec, validated
 
 __all__ = [
-    "AUTO", "CANON", "FAMILIES", "OPTIONS", "Angles", "CalibrationSpec", "Draws", "FitSpec", "Likelihood",
-    "Metric", "ModelSpec", "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select", "SelectionSpec",
-    "Solver", "TradeoffSpec", "Weighting", "calibration_spec", "canonical_json", "fit_spec", "model_spec",
-    "posterior_spec", "selection_spec", "tradeoff_spec",
+    "AUTO", "CANON", "FAMILIES", "OPTIONS", "Angles", "CalibrationSpec", "Draws", "FitSettings", "FitSpec",
+    "Likelihood", "Metric", "ModelSpec", "NoiseModel", "Options", "Polish", "PosteriorSpec", "Select",
+    "SelectionSpec", "Solver", "TradeoffSpec", "Weighting", "calibration_spec", "canonical_json",
+    "fit_spec", "model_spec", "posterior_spec", "selection_spec", "tradeoff_spec",
 ]  # fmt: skip
 
 Metric = Literal["measurement", "absolute", "cosine", "relative", "log", "cbrt"]
@@ -47,24 +47,19 @@ class Select(Frozen):
         return self
 
 
-class FitSpec(Frozen):
-    """One fit. Separate from the table and stored with every result, so that it can be made again.
+class FitSettings(Frozen):
+    """How to fit, whatever the model.
 
     ``metric`` None takes "measurement" where the table states sigma, else "cbrt". ``weighting`` says whether
     every sample counts alike or by the solid angles that it stands for; None takes "solid_angle" for tables
-    on a grid, but for "measurement" and "absolute". ``fixed`` holds nonlinear parameters at a value,
-    ``bounds`` narrows their range.
+    on a grid, but for "measurement" and "absolute".
 
     ``budget_seconds`` or ``target_error`` leave the effort (``subset``, ``polish``, and ``starts`` where it
     is None) to :mod:`fitter.fitting.budget`; the result's specification is the one that was chosen.
     """
 
-    model: ModelSpec
     metric: Metric | None = None
     weighting: Weighting | None = None
-    solver: Solver = "optimistix"
-    fixed: Mapping[str, float] = Field(default_factory=dict)
-    bounds: Mapping[str, tuple[float, float]] = Field(default_factory=dict)
     select: Select = Select()
     starts: Starts | None = None
     subset: SubsetSize = 4096
@@ -72,6 +67,18 @@ class FitSpec(Frozen):
     budget_seconds: Annotated[float, Field(gt=0, le=86_400)] | None = None
     target_error: Annotated[float, Field(gt=0, lt=1)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+
+class FitSpec(FitSettings):
+    """One fit. Separate from the table and stored with every result, so that it can be made again.
+
+    ``fixed`` holds nonlinear parameters at a value, ``bounds`` narrows their range.
+    """
+
+    model: ModelSpec
+    solver: Solver = "optimistix"
+    fixed: Mapping[str, float] = Field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = Field(default_factory=dict)
 
 
 class TradeoffSpec(Frozen):

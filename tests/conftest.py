@@ -22,9 +22,8 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "brdf-f
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
 
-import jax  # noqa: E402
-
 from fitter._jax import compile_sooner  # noqa: E402
+from fitter.memory_maps import forget_when_many  # noqa: E402
 
 # Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
 # Not the requests themselves (fit, FitSpec): their own errors are what is tested.
@@ -50,18 +49,15 @@ compile_sooner()
 # the time.
 gc.set_threshold(100_000, 20, 100)
 
-#: Compiled programs are mapped into memory in many pieces, of which Linux grants a process 65,530 by default:
-#: past that the compiler crashes.
-MOST_MAPS, LOOK_EVERY = 45_000, 25
-_MAPS = Path("/proc/self/maps")
+#: Tests between two looks at how many compiled programs there are.
+LOOK_EVERY = 25
 _tests = itertools.count(1)
 
 
 def pytest_runtest_teardown() -> None:
     """Forget the compiled programs when they are many."""
-    if next(_tests) % LOOK_EVERY == 0 and _MAPS.exists() and _MAPS.read_bytes().count(b"\n") > MOST_MAPS:
-        jax.clear_caches()
-        gc.collect()
+    if next(_tests) % LOOK_EVERY == 0:
+        forget_when_many()
 
 
 @pytest.fixture(scope="session")

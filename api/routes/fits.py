@@ -196,9 +196,7 @@ def calibration(id: str, here: Here) -> Response:
 )  # fmt: skip
 def calibration_picture(id: str, here: Here) -> Response:
     """How far the ranks' distribution functions stray from uniform, with their simultaneous bands."""
-    content = here.service.results.report(here.get(CalibrationRow, id).id, "png")
-    assert content is not None  # written before the row was published
-    return Response(content, media_type="image/png")
+    return Response(here.drawn(CalibrationRow, id, "png"), media_type="image/png")
 
 
 def _with_table(here: Mine, id: str) -> ModelRow:

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
-from api.access import Here, Mine
+from api.access import Here
 from api.routes import Limit, Offset, page, problems
 from api.rows import SceneRow
 from api.scenes import scene_of
@@ -81,7 +81,7 @@ def picture(id: str, here: Here) -> Response:
 )  # fmt: skip
 def picture_exr(id: str, here: Here) -> Response:
     """Linear radiance, W/(m2 sr), `se.<channel>` its standard error, layers where asked for."""
-    return Response(_drawn(here, id, "exr"), media_type="image/x-exr")
+    return Response(here.drawn(SceneRow, id, "exr"), media_type="image/x-exr")
 
 
 @router.get(
@@ -93,10 +93,4 @@ def picture_exr(id: str, here: Here) -> Response:
 )  # fmt: skip
 def picture_png(id: str, here: Here) -> Response:
     """Tone-mapped."""
-    return Response(_drawn(here, id, "png"), media_type="image/png")
-
-
-def _drawn(here: Mine, id: str, kind: str) -> bytes:
-    content = here.service.results.report(here.get(SceneRow, id).id, kind)
-    assert content is not None  # written before the row was published
-    return content
+    return Response(here.drawn(SceneRow, id, "png"), media_type="image/png")

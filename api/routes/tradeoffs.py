@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
-from api.access import Here, Mine
+from api.access import Here
 from api.routes import Limit, Offset, page, problems
 from api.rows import TradeoffRow
 from api.starting import Prefer, answers, started
@@ -63,7 +63,7 @@ def tradeoff(id: str, here: Here) -> Response:
 )  # fmt: skip
 def report(id: str, here: Here) -> Response:
     """The picture and the numbers as one self-contained page."""
-    return Response(_drawn(here, id, "html"), media_type="text/html")
+    return Response(here.drawn(TradeoffRow, id, "html"), media_type="text/html")
 
 
 @router.get(
@@ -75,10 +75,4 @@ def report(id: str, here: Here) -> Response:
 )  # fmt: skip
 def picture(id: str, here: Here) -> Response:
     """Error against seconds, log-log, points labelled, the Pareto front drawn."""
-    return Response(_drawn(here, id, "png"), media_type="image/png")
-
-
-def _drawn(here: Mine, id: str, kind: str) -> bytes:
-    content = here.service.results.report(here.get(TradeoffRow, id).id, kind)
-    assert content is not None  # written before the row was published
-    return content
+    return Response(here.drawn(TradeoffRow, id, "png"), media_type="image/png")

@@ -6,8 +6,6 @@ import csv
 import glob
 import hashlib
 import json
-import re
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -15,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from fitter.batch.specification import BatchSpec
+from fitter.documents import file_stem
 from fitter.errors import SpecError, TableError
+from fitter.formats import archives
 from fitter.formats.read_options import read_options
 from fitter.formats.registry import Format, detect
 from fitter.formats.source import Source
@@ -134,50 +134,37 @@ def _told(
     """The units of files, archives opened, and measurements of several files in one folder put together."""
     together: dict[tuple[str, Path], list[Path]] = {}
     for path in files:
-        if zipfile.is_zipfile(path):
-            yield from _members(path, reading)
+        try:
+            source = Source(path)
+            if archives.is_archive(source):
+                yield from _members(path, source, reading)
+                continue
+            entry = detect(source)
+        except TableError as error:
+            error.file = error.file or path.name
+            yield _unit(path.stem, [path], None, reading), error
             continue
-        entry, error = _detected(path)
-        if entry is not None and entry.together is not None and len(files) > 1:
+        if entry.together is not None and len(files) > 1:
             together.setdefault((entry.name, path.parent), []).append(path)
             continue
-        yield _unit(path.stem, [path], entry, reading), error
+        yield _unit(path.stem, [path], entry, reading), None
     for (name, folder), paths in together.items():
         size = sum(path.stat().st_size for path in paths)
         words = tuple(str(path.resolve()) for path in paths)
-        yield Unit(slug(folder.resolve().name), words, None, name, size, reading), None
-
-
-def _detected(path: Path) -> tuple[Format | None, TableError | None]:
-    try:
-        return detect(Source(path)), None
-    except TableError as error:
-        error.file = error.file or path.name
-        return None, error
+        yield Unit(folder_name(folder.resolve().name), words, None, name, size, reading), None
 
 
 def _unit(name: str, paths: Sequence[Path], entry: Format | None, reading: Mapping[str, Any]) -> Unit:
     size = sum(path.stat().st_size for path in paths if path.exists())
     words = tuple(str(path.resolve()) for path in paths)
-    return Unit(slug(name), words, None, "" if entry is None else entry.name, size, reading)
+    return Unit(folder_name(name), words, None, "" if entry is None else entry.name, size, reading)
 
 
-def _members(path: Path, reading: Mapping[str, Any]) -> Iterator[tuple[Unit, TableError | None]]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            listed = [m for m in archive.infolist() if not m.is_dir()]
-    except (zipfile.BadZipFile, OSError, ValueError) as error:
-        broken = TableError(
-            f"the zip archive is damaged: {error}", code="archive-damaged", file=path.name,
-            remedy="fetch the file again",
-        )  # fmt: skip
-        yield _unit(path.stem, [path], None, reading), broken
-        return
+def _members(path: Path, source: Source, reading: Mapping[str, Any]) -> Iterator[tuple[Unit, None]]:
+    with archives.opened(source, path) as content:
+        listed = archives.files(content)
     for member in listed:
-        inside = Path(member.filename)
-        if any(part.startswith((".", "__MACOSX")) for part in inside.parts):
-            continue
-        name = slug("-".join((path.stem, *inside.with_suffix("").parts)))
+        name = folder_name("-".join((path.stem, *Path(member.filename).with_suffix("").parts)))
         yield Unit(name, (str(path.resolve()),), member.filename, "zip", member.file_size, reading), None
 
 
@@ -221,8 +208,8 @@ def _manifest(path: Path) -> Iterator[tuple[Path, str | None, dict[str, Any]]]:
 
 
 def _renamed(unit: Unit, name: str) -> Unit:
-    suffix = "" if unit.member is None else f"-{slug(Path(unit.member).stem)}"
-    return Unit(slug(name) + suffix, unit.paths, unit.member, unit.format, unit.size, unit.reading)
+    suffix = "" if unit.member is None else f"-{folder_name(Path(unit.member).stem)}"
+    return Unit(folder_name(name) + suffix, unit.paths, unit.member, unit.format, unit.size, unit.reading)
 
 
 def _refuse_twins(units: Sequence[Unit]) -> None:
@@ -239,6 +226,6 @@ def _refuse_twins(units: Sequence[Unit]) -> None:
             )  # fmt: skip
 
 
-def slug(name: str) -> str:
-    """A name that every file system takes."""
-    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:120] or "table"
+def folder_name(name: str) -> str:
+    """A name that every file system takes; longer than a table's may be, since it holds an archive's, too."""
+    return file_stem(name, 120)

@@ -97,7 +97,7 @@ def run(
     finally:
         with _disk(folder):
             summing.write(records, what, folder)
-    failed = sum(_failed(record) for record in records) + len(what.refused)
+    failed = sum(working.failed(record) for record in records) + len(what.refused)
     return Done(folder, len(records) - kept, kept, failed, time.monotonic() - begun)
 
 
@@ -112,7 +112,7 @@ class _Counter:
 
     def one(self, record: dict[str, Any]) -> None:
         self._done += 1
-        self._failed += _failed(record)
+        self._failed += working.failed(record)
         self.say(0)
 
     def say(self, running: int) -> None:
@@ -125,10 +125,6 @@ class _Counter:
             left = (time.monotonic() - self._begun) / self._done * (self._total - self._done)
             words += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
         self._report(self._done / self._total, words)
-
-
-def _failed(record: dict[str, Any]) -> bool:
-    return record["error"] is not None or any("best" not in table for table in record["tables"])
 
 
 @contextmanager
@@ -149,7 +145,8 @@ def _here(
     for unit, key in todo:
         counter.say(1)
         with _disk(folder):
-            yield working.work(unit.to_dict(), spec, key, str(folder))
+            record = working.work(unit.to_dict(), spec, key, str(folder))
+        yield record
 
 
 def _on_cluster(

@@ -11,11 +11,11 @@ from pydantic import Field, model_validator
 
 from fitter.errors import SpecError
 from fitter.formats.read_options import read_options
-from fitter.model_spec import FAMILIES, Frozen, ModelSpec, model_spec, validated
-from fitter.spec import AUTO, FitSpec, Metric, Polish, PosteriorSpec, Select, Starts, SubsetSize, Weighting
+from fitter.model_spec import FAMILIES, ModelSpec, model_spec, validated
+from fitter.spec import AUTO, FitSettings, FitSpec, PosteriorSpec
 
 
-class BatchSpec(Frozen):
+class BatchSpec(FitSettings):
     """Many fits. Paths are taken from the folder of the file that the specification stands in.
 
     tables : files, folders (their visible files), zip archives, and patterns with ``*``, ``?``, ``[...]``
@@ -28,25 +28,16 @@ class BatchSpec(Frozen):
     report : whether to write a report about the best fit.
     exports : targets (:mod:`fitter.export`) to write it to, too.
 
-    The others are those of :class:`fitter.spec.FitSpec`.
+    The others are those of :class:`fitter.spec.FitSettings`, for each fit.
     """
 
     tables: tuple[str, ...] = ()
     manifest: str | None = None
     reading: Mapping[str, Any] = Field(default_factory=dict)
     models: Annotated[tuple[ModelSpec, ...], Field(min_length=1, max_length=32)] | Literal["auto"]
-    metric: Metric | None = None
-    weighting: Weighting | None = None
-    select: Select = Select()
-    starts: Starts | None = None
-    subset: SubsetSize = 4096
-    polish: Polish = "full"
-    budget_seconds: Annotated[float, Field(gt=0, le=86_400)] | None = None
-    target_error: Annotated[float, Field(gt=0, lt=1)] | None = None
     posterior: PosteriorSpec | None = None
     report: bool = True
     exports: tuple[str, ...] = ()
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
     @model_validator(mode="after")
     def _sensible(self) -> Self:
@@ -61,8 +52,7 @@ class BatchSpec(Frozen):
 
     def fit_spec(self, model: ModelSpec) -> FitSpec:
         """What is asked of one fit."""
-        names = set(FitSpec.model_fields) & set(BatchSpec.model_fields)
-        return FitSpec(model=model, **{name: getattr(self, name) for name in names})
+        return FitSpec(model=model, **{name: getattr(self, name) for name in FitSettings.model_fields})
 
 
 def batch_spec(given: Mapping[str, Any]) -> BatchSpec:

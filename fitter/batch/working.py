@@ -11,15 +11,15 @@ import logging
 import shutil
 import time
 import traceback
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitter.batch.planning import TABLES, Unit
+from fitter.batch.planning import TABLES, Unit, folder_name
 from fitter.batch.specification import BatchSpec, batch_spec
 from fitter.documents import read_document, write_document
-from fitter.errors import FitterError, SpecError, TableError
+from fitter.errors import FitterError, SpecError
+from fitter.memory_maps import forget_when_many
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -54,6 +54,7 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
     """
     start()
     todo = Unit.from_dict(unit)
+    asked = batch_spec(spec)
     folder = Path(out) / TABLES / todo.name
     begun = time.monotonic()
     tables: list[dict[str, Any]] = []
@@ -62,7 +63,7 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
         opened = _opened(todo)
         for table, name in zip(opened, _names(todo, opened), strict=True):
             place = folder if len(opened) == 1 else folder / name
-            tables.append(_table(table, name, place, batch_spec(spec), todo, Path(out)))
+            tables.append(_table(table, name, place, asked, todo, Path(out)))
     except FitterError as error:
         problem = error.to_dict()
     except OSError:
@@ -78,11 +79,17 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
         "tables": tables, "error": problem,
     }  # fmt: skip
     write_document(record, folder / RECORD)
+    forget_when_many()
     return record
 
 
+def failed(record: Mapping[str, Any]) -> bool:
+    """Whether the unit, or all models of one of its tables, failed."""
+    return record["error"] is not None or any("best" not in table for table in record["tables"])
+
+
 def finished(unit: Unit, key: str, out: Path) -> dict[str, Any] | None:
-    """The record of a unit that was done as asked now, without an error; else None."""
+    """The record of a unit that was done as asked now and did not fail; else None."""
     path = out / TABLES / unit.name / RECORD
     if not path.exists():
         return None
@@ -90,36 +97,36 @@ def finished(unit: Unit, key: str, out: Path) -> dict[str, Any] | None:
         record = dict(read_document(path, "not-a-batch"))
     except SpecError:
         return None  # done again, which mends it
-    same = record.get("kind") == KIND and record.get("key") == key and record.get("error") is None
-    return record if same else None
+    same = record.get("kind") == KIND and record.get("key") == key
+    return record if same and not failed(record) else None
 
 
 def _opened(unit: Unit) -> list[Table]:
-    from fitter.formats import load_all
+    from fitter.formats import archives, load_all
+    from fitter.formats.source import Source
 
     options = dict(unit.reading)
     if unit.member is None:
         paths: Any = unit.paths[0] if len(unit.paths) == 1 else list(unit.paths)
         return load_all(paths, **options)
     path = Path(unit.paths[0])
-    try:
-        with zipfile.ZipFile(path) as archive:
-            content = archive.read(unit.member)
-    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError, KeyError) as error:
-        raise TableError(
-            f"the archive's member can't be unpacked: {error}", code="archive-damaged", file=path.name,
-            column=unit.member[:80], remedy="fetch the file again",
-        ) from error  # fmt: skip
-    return load_all(content, name=Path(unit.member).name, **options)
+    archive = Source(path)
+    with archives.opened(archive, path) as content:
+        members = [one for one in archives.files(content) if one.filename == unit.member]
+        if not members:
+            raise archive.error(
+                "the archive has lost this member since the batch was planned", "archive-damaged",
+                column=unit.member[:80], remedy="give the command again",
+            )  # fmt: skip
+        archives.refuse_large(archive, members)
+        return load_all(archives.unpacked(archive, content, members[0]), **options)
 
 
 def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
     """Of the tables' folders below the unit's: their items' names where there are several."""
-    from fitter.batch.planning import slug
-
     if len(tables) == 1:
         return [unit.name]
-    items = [slug(str(table.metadata.provenance.get("item", k))) for k, table in enumerate(tables)]
+    items = [folder_name(str(table.metadata.provenance.get("item", k))) for k, table in enumerate(tables)]
     return [item if items.count(item) == 1 else f"{item}-{k}" for k, item in enumerate(items)]
 
 
@@ -133,10 +140,7 @@ def _table(
     begun = time.monotonic()
     if place.exists():
         shutil.rmtree(place)
-    path = unit.paths[0] if len(unit.paths) == 1 else list(unit.paths)
-    source: dict[str, Any] = {"path": path, "options": dict(unit.reading)}
-    if unit.member is not None:
-        source["member"] = unit.member
+    source = _source(table, unit, alone=place.name == unit.name)
     described: dict[str, Any] = {
         "table": unit.name if name == unit.name else f"{unit.name}/{name}",
         "folder": str(place.relative_to(out)), "path": unit.paths[0], "member": unit.member,
@@ -149,7 +153,7 @@ def _table(
         if isinstance(found, FitterError):
             described["fits"].append({"model": model, "error": found.to_dict()})
             continue
-        found = _remembering(found, source)
+        found = found.with_source(source)
         found.save(place / found.spec.model.file_name)
         results.append(found)
         described["fits"].append(row_of(found))
@@ -170,6 +174,15 @@ def _table(
     return described
 
 
+def _source(table: Table, unit: Unit, *, alone: bool) -> dict[str, Any]:
+    """Where `posterior`, `report` and `export` find the table again: a file, or a folder or archive and which
+    of its tables."""
+    path, options = Path(unit.paths[0]), dict(unit.reading)
+    if unit.member is not None or len(unit.paths) > 1 or not alone:
+        options["item"] = str(table.metadata.provenance.get("item", table.metadata.name))
+    return {"path": str(path if len(unit.paths) == 1 else path.parent), "options": options}
+
+
 def _fits(table: Table, spec: BatchSpec) -> list[tuple[str, FitResult | FitterError]]:
     from fitter.fitting import fit
     from fitter.selection import select
@@ -186,12 +199,6 @@ def _fits(table: Table, spec: BatchSpec) -> list[tuple[str, FitResult | FitterEr
         except FitterError as error:
             found.append((model.name, error))
     return found
-
-
-def _remembering(result: FitResult, source: Mapping[str, Any]) -> FitResult:
-    from dataclasses import replace
-
-    return replace(result, table={**result.table, "source": dict(source)})
 
 
 def row_of(result: FitResult) -> dict[str, Any]:

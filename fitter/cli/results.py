@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +11,6 @@ from fitter.errors import SpecError
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
-
-def remember(result: FitResult, source: Mapping[str, Any]) -> FitResult:
-    """The result, knowing which file its table came from and how that was read."""
-    return replace(result, table={**result.table, "source": dict(source)})
 
 
 def load_result(path: str | Path, model: str | None = None) -> FitResult:
@@ -34,6 +29,19 @@ def load_result(path: str | Path, model: str | None = None) -> FitResult:
         f"the file holds fits of {names}, and one is needed", code="which-fit", file=str(path),
         parameter="model", remedy="name one with --model",
     )  # fmt: skip
+
+
+def fits_document(
+    fits: Sequence[Mapping[str, Any]], failures: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """What ``fit --json`` prints: the one fit, or the one failure, or all of them."""
+    from fitter.documents import FITS
+
+    if len(fits) == 1 and not failures:
+        return dict(fits[0])
+    if len(failures) == 1 and not fits:
+        return {"error": failures[0]["error"]}
+    return {"kind": FITS, "fits": list(fits), "failures": list(failures)}
 
 
 def show_fit(result: FitResult, screen: Screen) -> None:

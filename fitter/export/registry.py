@@ -3,8 +3,6 @@ documentation and the contract tests."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitter.errors import SpecError
 from fitter.formats.registry import Loss
+from fitter.registered import declared
 
 if TYPE_CHECKING:
     from fitter.export.subject import Subject
@@ -69,12 +68,7 @@ def targets() -> tuple[Target, ...]:
     """All registered targets, by name."""
     import fitter.export.to as here
 
-    found: list[Target] = []
-    for module in pkgutil.iter_modules(here.__path__):
-        entry = getattr(importlib.import_module(f"{here.__name__}.{module.name}"), "TARGET", None)
-        if isinstance(entry, Target):
-            found.append(entry)
-    return tuple(sorted(found, key=lambda entry: entry.name))
+    return tuple(sorted(declared(here, "TARGET", Target), key=lambda entry: entry.name))
 
 
 def target(name: str) -> Target:

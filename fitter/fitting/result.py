@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +144,10 @@ class FitResult:
                 f"this is not a fit result ({error})", code="not-a-fit",
                 remedy="give the file that `brdf-fitter fit --out` wrote or `fit --json` printed",
             ) from error  # fmt: skip
+
+    def with_source(self, source: Mapping[str, Any]) -> FitResult:
+        """The result, knowing which file its table came from and how that was read."""
+        return replace(self, table={**self.table, "source": dict(source)})
 
     def save(self, path: Path | str) -> None:
         """Write the result as JSON, aside and renamed."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import lzma
 import os
 import time
-import zipfile
-import zlib
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,6 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol, TypeAlias, cast
 
 from fitter.errors import NoTable, SpecError, TableError
+from fitter.formats import archives
 from fitter.formats.fills import Fills
 from fitter.formats.held import Held, held
 from fitter.formats.read_options import ReadOptions, Treatment
@@ -38,10 +36,7 @@ class LabelledArrays(Protocol):
     def attrs(self) -> Any: ...
 
 
-Given: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ArrowStream | LabelledArrays
-
-#: An archive may not unpack to more than this many bytes, whatever its directory claims.
-MAX_UNPACKED = 1 << 30
+Given: TypeAlias = Source | str | os.PathLike[str] | bytes | BinaryIO | ArrowStream | LabelledArrays
 
 
 def load(
@@ -190,8 +185,9 @@ def _sources(
     if memory is not None:
         yield memory, within
         return
-    source = Source(given, name)  # type: ignore[arg-type]  # Source itself refuses what it can't read
-    if source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+    # Source itself refuses what it can't read.
+    source = given if isinstance(given, Source) else Source(given, name)  # type: ignore[arg-type]
+    if archives.is_archive(source):
         for folder, member in _members(source):
             yield member, f"{within} {source.name} {source.sha256} {folder}"
     else:
@@ -199,42 +195,12 @@ def _sources(
 
 
 def _members(archive: Source) -> Iterator[tuple[str, Source]]:
-    """(folder inside the archive, file) of every file in it. Errors name the member as their column."""
-    where: dict[str, Any] = {}
-    try:
-        with zipfile.ZipFile(BytesIO(archive.data)) as content:
-            wanted = [
-                m for m in content.infolist()
-                if not m.is_dir() and not any(p.startswith((".", "__MACOSX")) for p in Path(m.filename).parts)
-            ]  # fmt: skip
-            claimed = sum(m.file_size for m in wanted)
-            if claimed > MAX_UNPACKED:
-                raise archive.error(
-                    f"the archive claims to unpack to {claimed / 1e9:.1f} GB", "archive-too-large",
-                    remedy="unpack it and load the folder",
-                )  # fmt: skip
-            for member in wanted:
-                # read() stops at the size the directory claims, which is bounded above.
-                path = Path(member.filename)
-                where = {"column": member.filename[:80], "offset": member.header_offset}
-                yield str(path.parent), Source(content.read(member), path.name)
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        lzma.LZMAError,
-        EOFError,
-        OSError,
-        ValueError,
-        OverflowError,
-    ) as error:
-        raise archive.error(
-            f"the zip archive is damaged: {error}", "archive-damaged", **where, remedy="fetch the file again"
-        ) from error
-    except (RuntimeError, NotImplementedError) as error:
-        raise archive.error(
-            f"the zip archive can't be unpacked: {error}", "archive-damaged", **where,
-            cause="a password or an unusual compression", remedy="unpack it and load the folder",
-        ) from error  # fmt: skip
+    """(folder inside the archive, file) of every file in it."""
+    with archives.opened(archive, BytesIO(archive.data)) as content:
+        wanted = archives.files(content)
+        archives.refuse_large(archive, wanted)
+        for member in wanted:
+            yield str(Path(member.filename).parent), archives.unpacked(archive, content, member)
 
 
 def _label(table: Table) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +10,7 @@ from pathlib import Path
 
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
+from fitter.registered import declared
 from fitter.table import Table
 
 
@@ -73,12 +72,7 @@ def formats() -> tuple[Format, ...]:
     """All registered formats, by name."""
     import fitter.formats as here
 
-    found: list[Format] = []
-    for module in pkgutil.iter_modules(here.__path__):
-        entry = getattr(importlib.import_module(f"{here.__name__}.{module.name}"), "FORMAT", None)
-        if isinstance(entry, Format):
-            found.append(entry)
-    return tuple(sorted(found, key=lambda entry: entry.name))
+    return tuple(sorted(declared(here, "FORMAT", Format), key=lambda entry: entry.name))
 
 
 def detect(source: Source) -> Format:

@@ -110,7 +110,7 @@ class ReflectanceModel(eqx.Module):
         components are not part of it. The result has the dtype of the directions.
         """
         wi, wo = _directions(wi, wo)
-        return _evaluate(_cast(self, jnp.result_type(wi, wo)), wi, wo)
+        return _evaluate(cast(self, jnp.result_type(wi, wo)), wi, wo)
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
         """Density (...,) of :meth:`sample` drawing wo given wi, per unit solid angle of the whole sphere.
@@ -119,7 +119,7 @@ class ReflectanceModel(eqx.Module):
         of draws lost below the horizon and of ideal components, which have no density.
         """
         wi, wo = _directions(wi, wo)
-        return _pdf(_cast(self, jnp.result_type(wi, wo)), wi, wo)
+        return mixture_density(cast(self, jnp.result_type(wi, wo)), wi, wo)
 
     def albedo(self, wi: ArrayLike) -> Array:
         """Directional-hemispherical reflectance (..., C) by quadrature (:mod:`fitter.models.albedo`),
@@ -158,7 +158,7 @@ class ReflectanceModel(eqx.Module):
         key = jax.random.key(seed) if isinstance(seed, int | np.integer) else seed
         # Sizes rounded up to a power of two: callers with any n share a few compiled programs.
         size = max(1024, 1 << (n - 1).bit_length())
-        drawn = _sample(_cast(self, direction.dtype), direction, size, key)
+        drawn = _sample(cast(self, direction.dtype), direction, size, key)
         wo, pdf, weight, valid, is_delta = (np.asarray(part)[:n] for part in drawn)
         return Samples(
             wo=wo, pdf=pdf, weight=weight, valid=valid, is_delta=is_delta, acceptance=1.0,
@@ -269,7 +269,8 @@ def _evaluate(model: ReflectanceModel, wi: Array, wo: Array) -> Array:
 
 
 @eqx.filter_jit
-def _pdf(model: ReflectanceModel, wi: Array, wo: Array) -> Array:
+def mixture_density(model: ReflectanceModel, wi: Array, wo: Array) -> Array:
+    """The compiled part of :meth:`ReflectanceModel.pdf`: of directions (..., 3) of the model's dtype."""
     p = Pair.split(wi, wo)
     lobes, shares, _ = model.mixture(p.ix, p.iy, p.iz)
     return mixture_pdf(lobes, shares, p, model.transmits(model.spec))
@@ -321,7 +322,7 @@ def _albedo_one(model: ReflectanceModel, wi: Array, reflected: bool) -> Array:
     return total
 
 
-def _cast(model: ReflectanceModel, dtype: Any) -> ReflectanceModel:
+def cast(model: ReflectanceModel, dtype: Any) -> ReflectanceModel:
     """The model with its values in the dtype of the directions: float32 in, float32 throughout."""
     return eqx.tree_at(lambda m: m.values, model, {k: jnp.asarray(v, dtype) for k, v in model.values.items()})
 

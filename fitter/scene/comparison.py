@@ -84,11 +84,7 @@ class Comparison:
         scale = self.table.reference
         sides = [files.displayed(one.radiance, one.channels, scale) for one in (self.table, self.fit)]
         apart = (self.fit.radiance - self.table.radiance) / (scale if scale > 0 else 1.0)
-        rgb = {"R", "G", "B"} <= set(self.table.channels)
-        if rgb:
-            apart = apart[..., [self.table.channels.index(name) for name in "RGB"]]
-        else:
-            apart = np.repeat(apart.mean(axis=2, keepdims=True), 3, axis=2)
+        apart = files.as_rgb(apart, self.table.channels)
         grey: NDArray[np.uint8] = np.round(255 * np.clip(0.5 + 2.0 * apart, 0.0, 1.0)).astype(np.uint8)
         gap = np.full((grey.shape[0], 2, 3), 255, np.uint8)
         return files.png_bytes(np.concatenate([sides[0], gap, sides[1], gap, grey], axis=1))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter.errors import FitterError
 from fitter.models import ReflectanceModel
+from fitter.models.base import cast, mixture_density
 from fitter.models.lobes import mixture_pdf
 from fitter.models.pair import Pair
 from fitter.sampling import TableSampler
@@ -88,22 +89,18 @@ class ModelMaterial:
 
     def value_call(self, l: Array, v: Array) -> Call:
         """The kernel behind :meth:`value` and what it is called with."""
-        return _value, (self._cast(l), self.off, dict(self.constants), l, v)
+        return _value, (cast(self.model, l.dtype), self.off, dict(self.constants), l, v)
 
     def pdf_call(self, l: Array, v: Array) -> Call:
         """That behind :meth:`pdf`."""
-        return _pdf, (self._cast(l), l, v)
+        return mixture_density, (cast(self.model, l.dtype), v, l)
 
     def draw_call(self, v: Array, rng: np.random.Generator) -> Call:
         """That behind :meth:`draw`."""
         u = jnp.asarray(rng.random((len(v), 3), np.float64), v.dtype)
         # Rounded to float32 a number may be 1, which is no uniform number's value.
         u = jnp.minimum(u, 1.0 - float(jnp.finfo(v.dtype).epsneg))
-        return _draw, (self._cast(v), v, u)
-
-    def _cast(self, like: Array) -> ReflectanceModel:
-        values = {k: jnp.asarray(value, like.dtype) for k, value in self.model.values.items()}
-        return eqx.tree_at(lambda m: m.values, self.model, values)
+        return _draw, (cast(self.model, v.dtype), v, u)
 
 
 @eqx.filter_jit
@@ -113,13 +110,6 @@ def _value(
     from fitter.scene.shading import value
 
     return value(model, off, constants, Pair.split(l, v)) * jnp.abs(l[:, 2:])
-
-
-@eqx.filter_jit
-def _pdf(model: ReflectanceModel, l: Array, v: Array) -> Array:
-    pair = Pair.split(v, l)
-    lobes, shares, _ = model.mixture(pair.ix, pair.iy, pair.iz)
-    return mixture_pdf(lobes, shares, pair, model.transmits(model.spec))
 
 
 @eqx.filter_jit

@@ -63,15 +63,18 @@ def png(picture: Picture) -> bytes:
 
 
 def displayed(radiance: NDArray[np.float64], channels: tuple[str, ...], scale: float) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB bytes; channels that are not RGB as their mean in grey."""
-    if {"R", "G", "B"} <= set(channels):
-        rgb = radiance[..., [channels.index(name) for name in "RGB"]]
-    else:
-        rgb = np.repeat(radiance.mean(axis=2, keepdims=True), 3, axis=2)
-    x = np.maximum(rgb, 0.0) / (scale if scale > 0 else 1.0)
+    """(H, W, 3) sRGB bytes."""
+    x = np.maximum(as_rgb(radiance, channels), 0.0) / (scale if scale > 0 else 1.0)
     x = x / (1.0 + x)
     coded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
     return np.round(255 * coded).astype(np.uint8)
+
+
+def as_rgb(values: NDArray[np.float64], channels: tuple[str, ...]) -> NDArray[np.float64]:
+    """(H, W, 3) of values (H, W, C); channels that are not RGB as their mean in grey."""
+    if {"R", "G", "B"} <= set(channels):
+        return values[..., [channels.index(name) for name in "RGB"]]
+    return np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)
 
 
 def png_bytes(pixels: NDArray[np.uint8]) -> bytes:

@@ -60,8 +60,10 @@ def test_blobs_and_results(storage: Storage, tmp_path: Path) -> None:
     assert results.read("a" * 32) == {"x": 1}
     assert results.report("a" * 32, "png") == b"picture"
     assert results.report("a" * 32, "pdf") is None
+    results.write_report("a" * 32, "exr", b"picture")
     results.drop("a" * 32)
     assert results.report("a" * 32, "png") is None
+    assert results.report("a" * 32, "exr") is None
     with pytest.raises(SpecError) as caught:
         results.read("a" * 32)
     assert caught.value.code == "result-missing"

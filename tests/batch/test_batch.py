@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import signal
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ import pytest
 
 import fitter
 from fitter.batch import Plan, batch_spec, compare, estimate, plan, run
+from fitter.cli.reading import table_of
 from fitter.errors import FitError, SpecError
+from fitter.formats import ReadOptions
 from fitter.progress import Cancelled
 from tests.batch.conftest import Write
 
@@ -187,6 +190,52 @@ def test_posterior_and_export_of_the_best(tmp_path: Path, write_table: Write):
     (row,) = _rows(tmp_path / "out")
     assert row["posterior"]
     assert float(row["lower95(rho[value])"]) < float(row["rho[value]"]) < float(row["upper95(rho[value])"])
+
+
+def test_tables_are_found_again_wherever_they_came_from(tmp_path: Path, write_table: Write):
+    """In an archive, in a file of several tables, in a folder of one measurement's files."""
+    for name, albedo in (("a", 0.3), ("b", 0.6)):
+        write_table(tmp_path / f"{name}.csv", albedo)
+    with zipfile.ZipFile(tmp_path / "z.zip", "w") as archive:
+        for name in ("a", "b"):
+            archive.write(tmp_path / f"{name}.csv", f"in/{name}.csv")
+    lines = [(tmp_path / f"{name}.csv").read_text().splitlines() for name in ("a", "b")]
+    both = [f"{lines[0][0]},item", *(f"{row},{'ab'[k]}" for k in range(2) for row in lines[k][1:])]
+    (tmp_path / "both.csv").write_text("\n".join([*both, ""]))
+    fitter.write(fitter.load(tmp_path / "a.csv"), tmp_path / "spread", "pab-opto")
+    found = plan(
+        batch_spec(
+            {
+                "tables": [str(tmp_path / name) for name in ("z.zip", "both.csv", "spread")],
+                "models": ["oren_nayar"], "report": False,
+            }
+        )
+    )  # fmt: skip
+    out = tmp_path / "out"
+    assert run(found, out, workers=1).failed == 0
+    fits = sorted(out.glob("tables/**/oren_nayar.json"))
+    assert [str(path.parent.relative_to(out / "tables")) for path in fits] == [
+        "both/a", "both/b", "spread", "z-in-a", "z-in-b",
+    ]  # fmt: skip
+    for path in fits:
+        fit = fitter.load_fit(path)
+        opened = table_of(fit.table, None, ReadOptions(), result=path)
+        assert opened.table.hash == fit.table["hash"], path
+
+
+def test_a_member_that_claims_too_much_fails_alone(
+    tmp_path: Path, write_table: Write, monkeypatch: pytest.MonkeyPatch
+):
+    write_table(tmp_path / "small.csv", 0.3)
+    with zipfile.ZipFile(tmp_path / "z.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(tmp_path / "small.csv", "small.csv")
+        archive.writestr("bomb.csv", bytes(100_000))
+    monkeypatch.setattr("fitter.formats.archives.MAX_UNPACKED", 50_000)
+    spec = {"tables": [str(tmp_path / "z.zip")], "models": ["oren_nayar"], "report": False}
+    assert run(plan(batch_spec(spec)), tmp_path / "out", workers=1).failed == 1
+    errors = {row["table"]: row["error"] for row in _rows(tmp_path / "out")}
+    assert errors["z-small"] == ""
+    assert "claims to unpack" in errors["z-bomb"]
 
 
 def test_batches_and_fits_compared(done: Path, tables: Path, tmp_path: Path):

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import stats
 
 from fitter.models import ReflectanceModel
-from fitter.models.base import _cast, _pdf, _sample
+from fitter.models.base import _sample, cast, mixture_density
 from tests.evidence.study import Outcome, Study
 from tests.models import MODELS, cells
 from tests.models.conftest import draw
@@ -62,7 +62,7 @@ def examine(
     """
     t = np.deg2rad(degrees)
     wi = np.array([np.sin(t) * np.cos(0.4), np.sin(t) * np.sin(0.4), np.cos(t)]).astype(dtype)
-    drawn = directions(_cast(model, wi.dtype), jnp.asarray(wi), jax.random.key(seed))
+    drawn = directions(cast(model, wi.dtype), jnp.asarray(wi), jax.random.key(seed))
     wo, valid, is_delta = (np.asarray(part) for part in drawn)
     exact = wi.astype(np.float64)
     claimed = model if stated is None else stated
@@ -82,9 +82,9 @@ def examine(
     shape = (len(theta) - 1, len(phi) - 1)
     spread = valid & ~is_delta
     counts = np.bincount(cells.bin_of(wo[spread], theta, phi), minlength=shape[0] * shape[1])
-    wide = _cast(claimed, np.dtype("float64"))
+    wide = cast(claimed, np.dtype("float64"))
     inside, error = cells.integrate(
-        lambda at: np.asarray(_pdf(wide, jnp.asarray(exact), jnp.asarray(at))), theta, phi,
+        lambda at: np.asarray(mixture_density(wide, jnp.asarray(exact), jnp.asarray(at))), theta, phi,
         absolute=ABSOLUTE, relative=RELATIVE, look=_suspect(counts.reshape(shape)),
     )  # fmt: skip
     lost = max(1.0 - ideal - inside.sum(), 0.0)

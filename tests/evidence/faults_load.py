@@ -6,6 +6,7 @@ Requests that fail are told by their kind and tried again.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import threading
 import time
@@ -133,13 +134,14 @@ class Load:
         seen = self.accepted.jobs[job]
         while not seen or seen[-1][1] not in FINAL:
             after = seen[-1][0] if seen else 0
-            try:
-                headers = {"Last-Event-ID": str(after)}
-                with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream:
-                    if stream.status_code == 200:
-                        self._read(stream, seen)
-            except httpx.TransportError:
-                pass
+            headers = {"Last-Event-ID": str(after)}
+            # What breaks off is taken up again below, as often as it takes.
+            with (
+                contextlib.suppress(httpx.TransportError),
+                client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream,
+            ):
+                if stream.status_code == 200:
+                    self._read(stream, seen)
             if not seen or seen[-1][1] not in FINAL:
                 with self._lock:
                     self.accepted.reconnected += 1

@@ -114,11 +114,10 @@ class Service:
         self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log, cwd=ROOT)
         end = time.monotonic() + 120
         while True:
-            try:
+            # Until it listens; that it does in time is asked below.
+            with contextlib.suppress(httpx.TransportError):
                 if httpx.get(f"{self.url}/healthz", timeout=5).status_code == 200:
                     return
-            except httpx.TransportError:
-                pass
             if self._process.poll() is not None or time.monotonic() > end:
                 raise RuntimeError("the server does not start; see its log")
             time.sleep(0.05)

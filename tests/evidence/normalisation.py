@@ -20,7 +20,7 @@ import numpy as np
 
 from fitter import models
 from fitter.models import ReflectanceModel, ndf
-from fitter.models.base import _pdf
+from fitter.models.base import mixture_density
 from fitter.models.masking import MASKINGS
 from fitter.models.pair import Half, Pair
 from fitter.spec import ModelSpec, model_spec
@@ -83,7 +83,7 @@ def _density(spec: ModelSpec, share: float, rng: np.random.Generator) -> Found:
         if ideal == 1.0:
             continue
         spread, error = cells.integrate(
-            lambda at, m=model, i=wi: np.asarray(_pdf(m, i, jnp.asarray(at))), theta, phi,
+            lambda at, m=model, i=wi: np.asarray(mixture_density(m, i, jnp.asarray(at))), theta, phi,
             absolute=1e-8, relative=1e-6,
         )  # fmt: skip
         lost = float(np.mean(~np.asarray(directions(model, wi, jax.random.key(drawn))[1])))

@@ -184,8 +184,7 @@ def _common(given: argparse.Namespace) -> dict[str, Any]:
 
 def run(given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter.cli.numerics import start_numerics
-    from fitter.cli.results import show_fit
-    from fitter.documents import FITS
+    from fitter.cli.results import fits_document, show_fit
 
     chosen_by = selection(given)
     out = None if given.out is None else output_folder(given.out)
@@ -220,12 +219,7 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         if out is not None and results:
             screen.line(f"written: {', '.join(str(out / r.spec.model.file_name) for r in results)}")
 
-    if len(results) == 1 and not failures:
-        document: dict[str, Any] = results[0].to_dict()
-    elif len(failures) == 1 and not results:
-        document = {"error": failures[0]["error"]}
-    else:
-        document = {"kind": FITS, "fits": [result.to_dict() for result in results], "failures": failures}
+    document = fits_document([result.to_dict() for result in results], failures)
     return Outcome(document, show, WORK_FAILED if failures else DONE)
 
 
@@ -234,7 +228,7 @@ def _compared(
     out: Path | None, screen: Screen,
 ) -> Outcome:
     """Models compared; the best few are written like named ones, and the comparison beside them."""
-    from fitter.cli.results import remember, show_fit
+    from fitter.cli.results import show_fit
     from fitter.documents import FITS
     from fitter.large import LargeTable
     from fitter.selection import select
@@ -242,7 +236,7 @@ def _compared(
     with screen.progress("auto") as progress:
         assert not isinstance(table, LargeTable)  # refused when the command was read
         found = select(table, wanted, progress=progress)
-    results = [remember(result, source) for result in found.fits]
+    results = [result.with_source(source) for result in found.fits]
     if out is not None:
         for result in results:
             result.save(out / result.spec.model.file_name)
@@ -295,7 +289,6 @@ def fit_all(
     out: Path | None, screen: Screen,
 ) -> tuple[list[FitResult], list[dict[str, Any]]]:
     """The fits that worked, each written to ``out`` as soon as it is there, and the others' failures."""
-    from fitter.cli.results import remember
     from fitter.fitting import fit
 
     results: list[FitResult] = []
@@ -304,7 +297,7 @@ def fit_all(
         name = spec.model.name
         try:
             with screen.progress(name) as progress:
-                result = remember(fit(table, spec, progress=progress), source)
+                result = fit(table, spec, progress=progress).with_source(source)
         except FitError as error:
             # The other models may well fit: this one's failure is a result of its own.
             screen.note(f"error: {name}: {error}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,7 +117,7 @@ def show_table(described: Mapping[str, Any], screen: Screen) -> None:
 
 def _draw(tables: Sequence[Table], folder: Path, screen: Screen) -> list[Path]:
     """Write the picture of each table; the files, each with a name of its own."""
-    from fitter.documents import write_bytes
+    from fitter.documents import file_stem, write_bytes
     from fitter.report.portrait import portrait
     from fitter.report.portrait_figure import draw, png
 
@@ -134,11 +133,6 @@ def _draw(tables: Sequence[Table], folder: Path, screen: Screen) -> list[Path]:
             paths.append(folder / f"{name}.png")
             write_bytes(png(draw(portrait(table))), paths[-1])
     return paths
-
-
-def file_stem(name: str) -> str:
-    """A table's name as that of a file."""
-    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:80] or "table"
 
 
 def _peak(peak: dict[str, float] | None) -> str:

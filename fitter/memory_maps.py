@@ -1,4 +1,4 @@
-"""Programs: what a process does about the compiled programs that gather in it."""
+"""Memory maps: what a process that runs for long does about the compiled programs that gather in it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import gc
 import logging
 from pathlib import Path
 
-_log = logging.getLogger("brdf_fitter.api")
+_log = logging.getLogger("brdf_fitter")
 
 _MAPS = Path("/proc/self/maps")
 _MOST = Path("/proc/sys/vm/max_map_count")

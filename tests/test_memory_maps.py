@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from api.programs import forget_when_many
+from fitter.memory_maps import forget_when_many
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="only Linux counts memory maps")
