@@ -9,7 +9,8 @@ measurement:
                                                    which has solid-angle weights besides)
     relative     the deviance of noise in proportion to f + e: below
     log          w = 1           T(x) = ln(x + e)  relative error; e = 1e-3 of the median value
-    cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012)
+    cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012);
+                                                   for |f| < e the cubic that continues it, see _root
 
 ``relative`` is not (f - y)/y: weights that are taken from noisy values favour those that came out too small
 and bias the albedos by minus twice the relative variance. Weights 1/(f + e) of the model, iterated, do not;
@@ -45,7 +46,7 @@ from fitter.errors import SpecError
 from fitter.spec import Metric, Weighting
 
 FloatArray = NDArray[np.float64]
-#: Share of the median value that is added under the logarithm, and below which a slope is not followed.
+#: Share of the median value that is added under the logarithm, and below which the cube root is a polynomial.
 LOG_FLOOR = 1e-3
 QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
 #: Metrics that only exist above -e.
@@ -114,7 +115,7 @@ def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray)
         return weight * np.log(np.maximum(y + floor, 1e-300))
     if metric == "relative":
         return np.maximum(y + floor, 1e-300)
-    return np.cbrt(weight * y)
+    return np.cbrt(weight) * np.asarray(_root(y, floor))
 
 
 def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array) -> Residual:
@@ -127,10 +128,23 @@ def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array)
         return Residual(weight * jnp.log(shifted) - goal, weight / shifted)
     if metric == "relative":
         return _deviance(jnp.maximum(f, 0.0) + floor, goal, weight)
-    # The cube root's slope is infinite at 0: follow it no closer to 0 than the floor. Only the path to
-    # the optimum depends on this, the objective does not.
-    root = jnp.cbrt(weight * f)
-    return Residual(root - goal, weight / (3.0 * jnp.maximum(root * root, jnp.square(jnp.cbrt(floor)))))
+    scale = jnp.cbrt(weight)
+    return Residual(scale * _root(f, floor) - goal, scale * _root_slope(f, floor))
+
+
+def _root(x: Array | FloatArray, e: Array | FloatArray) -> Array:
+    """The cube root of x, and for |x| < e the odd cubic that joins it there with the same slope: the root's
+    own is infinite at 0, and with another slope than the objective's passes end beside the optimum."""
+    t = jnp.asarray(x) / e
+    inside = jnp.abs(t) < 1.0
+    return jnp.cbrt(e) * jnp.where(inside, t * (4.0 - t * t) / 3.0, jnp.cbrt(jnp.where(inside, 1.0, t)))
+
+
+def _root_slope(x: Array, e: Array) -> Array:
+    t = jnp.square(x / e)
+    inside = t < 1.0
+    slope = jnp.where(inside, 4.0 - 3.0 * t, 1.0 / jnp.cbrt(jnp.where(inside, 1.0, t)))
+    return slope / (3.0 * jnp.square(jnp.cbrt(e)))
 
 
 def _deviance(f: Array, y: Array, weight: Array) -> Residual:
