@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from api import idempotency
 from api.rows import IdempotencyRow, JobRow, ModelRow, TableRow
@@ -85,6 +87,44 @@ def test_two_at_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     go.set()
     first.join()
     assert answers[0].status_code == 201
+
+
+def test_a_claim_lasts_as_long_as_its_request_and_not_much_longer(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(idempotency, "LEASE", 0.3)
+    store = client.app.state.service.store
+    entered, go = threading.Event(), threading.Event()
+    plain = store.add
+
+    def breaks(row: Any) -> None:
+        entered.set()
+        assert go.wait(30)
+        raise OperationalError("INSERT", {}, Exception("gone"))
+
+    def away(*_: Any, **__: Any) -> None:
+        raise OperationalError("UPDATE", {}, Exception("gone"))
+
+    monkeypatch.setattr(store, "add", breaks)
+    monkeypatch.setattr(idempotency, "release", away)
+    answers: list[Any] = []
+    first = threading.Thread(
+        target=lambda: answers.append(client.post("/v1/models", json=MODEL, headers=named("i")))
+    )
+    first.start()
+    assert entered.wait(30)
+    time.sleep(0.5)  # longer than an unrenewed claim lasts
+    assert client.post("/v1/models", json=MODEL, headers=named("i")).status_code == 409
+    go.set()
+    first.join()
+    # The database went away in the middle, and took the release with it: what broke is told all the same.
+    assert (answers[0].status_code, answers[0].json()["code"]) == (503, "database-away")
+    monkeypatch.setattr(store, "add", plain)
+    end = time.monotonic() + 20
+    while (again := client.post("/v1/models", json=MODEL, headers=named("i"))).status_code == 409:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert again.status_code == 201
 
 
 @pytest.mark.parametrize(

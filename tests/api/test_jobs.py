@@ -13,6 +13,7 @@ import pytest
 from api.engine import InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
+from api.queue import STARTS
 from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, PosteriorRow, TableRow
 from api.store import InUse, Missing, QueueFull, Store, new_id
 from api.work import Outcome
@@ -150,11 +151,28 @@ def test_dead_process_is_recovered_and_poison_given_up(store: Store, kept: str) 
         claimed = store.claim("here", LEASE)
         assert claimed is not None
         assert claimed.attempt == attempt
+        assert store.begin(claimed, "here")
         assert store.recover(3, EXHAUSTED, everything=True) == (1 if attempt < 3 else 0)
     row = store.get(JobRow, job.id)
     assert row is not None
     assert row.state == FAILED
     assert row.problem == EXHAUSTED
+
+
+@pytest.mark.parametrize("worker", [None, "machine:123"])
+def test_a_server_s_death_is_held_against_no_job_that_ran_elsewhere(
+    store: Store, kept: str, worker: str | None
+) -> None:
+    job = queued(store, kept)
+    for attempt in range(1, 3 * STARTS + 1):
+        claimed = store.claim("here", LEASE)
+        assert claimed is not None
+        assert worker is None or store.begin(claimed, worker)
+        assert store.recover(3, EXHAUSTED, everything=True) == (1 if attempt < 3 * STARTS else 0)
+    row = store.get(JobRow, job.id)
+    assert row is not None
+    # Started again, but not without end.
+    assert (row.state, row.losses, row.problem) == (FAILED, 0, EXHAUSTED)
 
 
 def test_cancelled_job_of_a_dead_process_is_not_run_again(store: Store, kept: str) -> None:
