@@ -69,8 +69,8 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times, and those
-    of which an earlier attempt is still worked on until that has ended: what a POST makes is made once all the
+    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times, those of
+    which an earlier attempt is still worked on until that has ended: what a POST makes is made once all the
     same (``Idempotency-Key``).
     """
 
@@ -284,9 +284,10 @@ class Client:
                     raise _unreachable(error) from error
                 time.sleep(waits.pop(0))
             else:
-                # Of all conflicts only that with an earlier attempt at the same request says when to try again.
-                if answer.status_code == 409 and "retry-after" in answer.headers and time.monotonic() < end:
-                    time.sleep(float(answer.headers["retry-after"]))
+                # Of all conflicts only that with an earlier attempt at a request says when to try again.
+                again = answer.headers.get("retry-after") if answer.status_code == 409 else None
+                if again is not None and time.monotonic() < end:
+                    time.sleep(float(again))
                 elif answer.status_code == 503 and waits:
                     time.sleep(waits.pop(0))
                 else:

@@ -168,9 +168,10 @@ class Queue(Sessions):
             where = (JobRow.state == RUNNING,) if everything else (JobRow.state == RUNNING, lapsed)
             query = select(JobRow).where(*where).order_by(JobRow.id).with_for_update(skip_locked=True)
             found = session.scalars(query).all()
+            own = [row.worker is not None and row.worker == row.server for row in found]
             return sum(
-                _lost(session, row, max_losses, problem, blame=row.worker is not None and row.worker == row.server)
-                for row in found
+                _lost(session, row, max_losses, problem, blame=mine)
+                for row, mine in zip(found, own, strict=True)
             )
 
     def cancel(self, id: str) -> JobRow:

@@ -108,7 +108,8 @@ def test_an_attempt_that_is_still_worked_on_is_waited_for(monkeypatch: pytest.Mo
     def answer(request: httpx.Request) -> httpx.Response:
         names.append(request.headers["idempotency-key"])
         if len(names) < 6:
-            return httpx.Response(409, headers={"Retry-After": "0"}, json={"code": "in-flight", "detail": "x"})
+            busy = {"code": "in-flight", "detail": "x"}
+            return httpx.Response(409, headers={"Retry-After": "0"}, json=busy)
         return httpx.Response(201, json={})
 
     with httpx.Client(base_url="http://here", transport=httpx.MockTransport(answer)) as http:
