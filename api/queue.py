@@ -148,11 +148,14 @@ class Queue(Sessions):
             return row is not None
 
     def give_back(self, job: JobRow, max_losses: int, problem: dict[str, Any]) -> bool:
-        """The attempt was lost with who worked on it: the next one, or the end (``problem``)."""
+        """The attempt was lost with its worker: the next one, or the end (``problem``).
+
+        Nothing is held against a job at which the worker was not yet: it stood in line for it.
+        """
         with self.writing() as session:
             row = _mine(session, job)
             if row is not None:
-                _lost(session, row, max_losses, problem, blame=True)
+                _lost(session, row, max_losses, problem, blame=row.worker is not None)
             return row is not None
 
     def recover(self, max_losses: int, problem: dict[str, Any], *, everything: bool = False) -> int:

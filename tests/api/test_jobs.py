@@ -270,3 +270,17 @@ def test_over_http(serving: Any, table_bytes: bytes) -> None:
 def test_finished_job_can_not_be_cancelled(client: Any, job: dict[str, Any]) -> None:
     answer = client.post(f"/v1/jobs/{job['id']}/cancel")
     assert (answer.status_code, answer.json()["code"]) == (409, "job-finished")
+
+
+@pytest.mark.parametrize(("begun", "losses"), [(True, 1), (False, 0)])
+def test_a_worker_s_death_is_held_against_the_job_it_was_at(
+    store: Store, kept: str, begun: bool, losses: int
+) -> None:
+    queued(store, kept)
+    claimed = store.claim("here", LEASE)
+    assert claimed is not None
+    assert not begun or store.begin(claimed, "machine:123")
+    assert store.give_back(claimed, 3, EXHAUSTED)
+    row = store.get(JobRow, claimed.id)
+    assert row is not None
+    assert (row.state, row.losses) == (QUEUED, losses)

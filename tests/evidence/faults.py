@@ -32,7 +32,7 @@ VICTIMS = ("worker", "scheduler", "server")
 UPLOADS, JOBS = 2, 6
 #: Most kills come when another job has ended since the last one, or after so many seconds, and then at random
 #: within so many more; this share of them without waiting, which meets processes that are starting.
-PATIENCE, PAUSE, AT_ONCE = 20.0, 3.0, 0.2
+PATIENCE, PAUSE, AT_ONCE = 60.0, 3.0, 0.2
 #: Seconds that the disk is full; that PostgreSQL is away; that the last jobs may take.
 FULL, AWAY, LAST = 6.0, 10.0, 900.0
 #: How often each outage comes.
