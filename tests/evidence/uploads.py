@@ -34,7 +34,7 @@ from tests.evidence.trial import damaged
 #: Uploads of a full run, at once so many; one in so many is a form whose framing is damaged with the file.
 COUNT, CLIENTS, FORMS = 10_000, 4, 4
 #: What the server lets its readers take: bytes of memory and seconds. And what an answer may take in all.
-MEMORY, SECONDS, LONGEST = 2 << 30, 30.0, 60.0
+MEMORY, SECONDS, LONGEST = 512 << 20, 30.0, 60.0
 #: Bytes that the server itself may grow by, whatever it is sent: the limit on a body, twice.
 GROWTH = 128 << 20
 #: So many violations are told.
