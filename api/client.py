@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
 from api.schemas import JobDocument, ModelDocument, TableDocument
+from api.states import FINAL
 from fitter.errors import FitError, FitterError, SpecError
 from fitter.progress import Cancelled, Progress, ignore
 
@@ -32,7 +33,6 @@ Document = dict[str, Any]
 Work = Literal["fits", "posteriors", "calibrations", "tradeoffs"]
 
 NPY = "application/x-npy"
-FINAL = ("done", "failed", "cancelled")
 #: Seconds before each further attempt at a request that did not reach the server.
 RETRY_AFTER = (0.2, 1.0, 3.0)
 #: Seconds that an earlier attempt at the request may still be worked on: a server that was killed meanwhile

@@ -15,8 +15,9 @@ import orjson
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
-from api.rows import CANCELLED, DONE, FAILED, FINAL, QUEUED, RUNNING, EventRow, JobRow, Row, TableRow
+from api.rows import EventRow, JobRow, Row, TableRow
 from api.sessions import Now, Sessions, is_id
+from api.states import CANCELLED, DONE, FAILED, FINAL, QUEUED, RUNNING
 
 #: What of a job changes, and so what its events hold.
 SHOWN = ("state", "attempt", "share", "what", "started", "finished", "results", "problem")

@@ -14,7 +14,8 @@ from api.engine import InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
 from api.queue import STARTS
-from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, PosteriorRow, TableRow
+from api.rows import JobRow, PosteriorRow, TableRow
+from api.states import CANCELLED, DONE, FAILED, QUEUED, RUNNING
 from api.store import InUse, Missing, QueueFull, Store, new_id
 from api.work import Outcome
 from fitter.errors import FitError

@@ -13,7 +13,8 @@ import httpx
 from api.blobs import Blobs
 from api.place import Place
 from api.results import Results
-from api.rows import FINAL, CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow, TradeoffRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow, TradeoffRow
+from api.states import FINAL
 from api.storage import open_storage
 from api.store import Store
 from tests.evidence.faults_load import Accepted

@@ -18,7 +18,7 @@ from typing import Any
 
 import httpx
 
-from api.rows import FINAL
+from api.states import FINAL
 from tests.api.conftest import small_table
 
 #: Answers that are no refusal: the database or the disk will be back, or an earlier attempt is at work.
