@@ -263,7 +263,13 @@ def test_over_http(serving: Any, table_bytes: bytes) -> None:
     with client.stream("GET", f"{here}/events") as stream:
         lines = list(stream.iter_lines())
     assert stream.headers["content-type"].startswith("text/event-stream")
-    assert "event: cancelled" in lines
+    assert [line for line in lines if line.startswith(("id", "event"))] == [
+        "event: progress", "id: 1", "event: cancelled", "id: 2",
+    ]  # fmt: skip
+    replayed = client.get(f"{here}/events", headers={"Last-Event-ID": "1"}).text
+    assert "id: 2" in replayed
+    assert "id: 1" not in replayed
+    assert client.get(f"{here}/events", headers={"Last-Event-ID": "x"}).status_code == 422
     missing = client.get(f"/v1/jobs/{'0' * 32}/events")
     assert missing.headers["content-type"] == "application/problem+json"
 
