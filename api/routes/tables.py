@@ -104,7 +104,7 @@ async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
             waiting += chunk
             if len(waiting) >= CHUNK:
                 if at_work is not None:
-                    await at_work
+                    await asyncio.shield(at_work)
                 at_work = asyncio.create_task(to_thread.run_sync(sink, bytes(waiting)))
                 waiting.clear()
     finally:

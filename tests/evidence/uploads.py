@@ -168,7 +168,7 @@ def _wrong(answer: httpx.Response, document: Mapping[str, Any]) -> list[str]:
     if status == 201:
         return [] if document["description"]["usable"] > 0 else ["a table with nothing usable was taken"]
     wrong = [] if 400 <= status < 500 else [f"the answer is {status}: {answer.text[:200]}"]
-    if answer.headers["content-type"] != "application/problem+json" or not document["code"]:
+    if answer.headers.get("content-type") != "application/problem+json" or not document["code"]:
         wrong.append(f"the {status} is no problem document")
     return wrong
 
