@@ -15,7 +15,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from anyio import CancelScope, to_thread
+from anyio import CancelScope, CapacityLimiter, to_thread
 from sqlalchemy import delete, select, update
 from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers
@@ -113,6 +113,8 @@ class Idempotent:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
+        # Not of the threads that requests share: those may all be at work for longer than a claim lasts.
+        self._threads = CapacityLimiter(1)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         key = Headers(scope=scope).get("idempotency-key") if scope["type"] == "http" else None
@@ -180,7 +182,7 @@ class Idempotent:
             await send(start)
             await send({**message, "body": bytes(content)})
 
-        renewing = asyncio.create_task(_renewing(store, owner, key))
+        renewing = asyncio.create_task(_renewing(store, owner, key, self._threads))
         try:
             await self._app(scope, body.receive, kept)
         finally:
@@ -190,12 +192,12 @@ class Idempotent:
                     await _released(store, owner, key)
 
 
-async def _renewing(store: Sessions, owner: str, key: str) -> None:
+async def _renewing(store: Sessions, owner: str, key: str, threads: CapacityLimiter) -> None:
     while True:
         await asyncio.sleep(LEASE / 3)
         # Where the database is away, the next time may do.
         with contextlib.suppress(*DATABASE):
-            await to_thread.run_sync(renew, store, owner, key)
+            await to_thread.run_sync(renew, store, owner, key, limiter=threads)
 
 
 async def _released(store: Sessions, owner: str, key: str) -> None:

@@ -89,39 +89,50 @@ def test_two_at_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert answers[0].status_code == 201
 
 
-def test_a_claim_lasts_as_long_as_its_request_and_not_much_longer(
+def test_a_claim_that_is_not_renewed_lapses(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = client.app.state.service.store
+    with monkeypatch.context() as patched:
+        patched.setattr(idempotency, "LEASE", -1.0)
+        made = idempotency.claim(store, "", "i")
+        assert isinstance(made, str)
+        assert idempotency.claim(store, "", "i") == made  # and what it makes keeps its id
+    idempotency.renew(store, "", "i")
+    assert idempotency.claim(store, "", "i") is None
+    assert client.post("/v1/models", json=MODEL, headers=named("i")).status_code == 409
+
+
+def test_a_claim_is_renewed_while_its_request_is_worked_on(
     client: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(idempotency, "LEASE", 0.3)
     store = client.app.state.service.store
-    entered, go = threading.Event(), threading.Event()
+    renewed = threading.Event()
+    monkeypatch.setattr(idempotency, "renew", lambda *_: renewed.set())
+    monkeypatch.setattr(idempotency, "LEASE", 0.03)
     plain = store.add
 
-    def breaks(row: Any) -> None:
-        entered.set()
-        assert go.wait(30)
+    def slow(row: Any) -> None:
+        assert renewed.wait(30)
+        plain(row)
+
+    monkeypatch.setattr(store, "add", slow)
+    assert client.post("/v1/models", json=MODEL, headers=named("j")).status_code == 201
+
+
+def test_a_database_that_goes_away_holds_a_request_up_no_longer_than_its_claim(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: Any, **__: Any) -> None:
         raise OperationalError("INSERT", {}, Exception("gone"))
 
-    def away(*_: Any, **__: Any) -> None:
-        raise OperationalError("UPDATE", {}, Exception("gone"))
-
-    monkeypatch.setattr(store, "add", breaks)
-    monkeypatch.setattr(idempotency, "release", away)
-    answers: list[Any] = []
-    first = threading.Thread(
-        target=lambda: answers.append(client.post("/v1/models", json=MODEL, headers=named("i")))
-    )
-    first.start()
-    assert entered.wait(30)
-    time.sleep(0.5)  # longer than an unrenewed claim lasts
-    assert client.post("/v1/models", json=MODEL, headers=named("i")).status_code == 409
-    go.set()
-    first.join()
-    # The database went away in the middle, and took the release with it: what broke is told all the same.
-    assert (answers[0].status_code, answers[0].json()["code"]) == (503, "database-away")
-    monkeypatch.setattr(store, "add", plain)
+    with monkeypatch.context() as patched:
+        patched.setattr(idempotency, "LEASE", 0.2)
+        patched.setattr(client.app.state.service.store, "add", away)
+        # The release goes the same way: what broke is told all the same.
+        patched.setattr(idempotency, "release", away)
+        answer = client.post("/v1/models", json=MODEL, headers=named("k"))
+        assert (answer.status_code, answer.json()["code"]) == (503, "database-away")
     end = time.monotonic() + 20
-    while (again := client.post("/v1/models", json=MODEL, headers=named("i"))).status_code == 409:
+    while (again := client.post("/v1/models", json=MODEL, headers=named("k"))).status_code == 409:
         assert time.monotonic() < end
         time.sleep(0.05)
     assert again.status_code == 201
