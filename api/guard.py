@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: What needs no key: whether the server is there, and how to use it.
 _OPEN = re.compile(r"/|/healthz|/readyz|/docs|/openapi\.json|/docs-assets/.*")
 #: POSTs that change nothing.
-_ASKING = re.compile(r"/v1/(?:models|tables)/[^/]+/(?:evaluate|pdf|albedo|samples?)")
+_ASKING = re.compile(r"/v1/(?:models|tables)/[^/]+/(?:evaluate|pdf|albedo|samples?)|/v1/scenes/plan")
 
 
 def is_open(path: str) -> bool:

@@ -388,6 +388,23 @@ class FitDocument(BaseModel):
     links: dict[str, str]
 
 
+class PosteriorSummary(BaseModel):
+    """One posterior in a list."""
+
+    id: str = Field(examples=[_ID])
+    created: str
+    fit: str
+    job: str
+    status: str
+    message: str
+    seconds: float
+    links: dict[str, str]
+
+
+class CalibrationSummary(PosteriorSummary):
+    """One calibration in a list."""
+
+
 class PosteriorDocument(BaseModel):
     """The whole posterior, as ``brdf-fitter posterior --json`` prints it, with its id and links."""
 

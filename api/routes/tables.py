@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from anyio import to_thread
+from anyio import CancelScope, to_thread
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -94,13 +96,22 @@ async def upload(
 
 
 async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
-    """The body, to ``sink`` in pieces, in a thread: it writes to the disk."""
+    """The body, to ``sink`` in pieces, in a thread: it hashes and writes one while the next arrives."""
     waiting = bytearray()
-    async for chunk in request.stream():
-        waiting += chunk
-        if len(waiting) >= CHUNK:
-            await to_thread.run_sync(sink, bytes(waiting))
-            waiting.clear()
+    at_work: asyncio.Task[None] | None = None
+    try:
+        async for chunk in request.stream():
+            waiting += chunk
+            if len(waiting) >= CHUNK:
+                if at_work is not None:
+                    await asyncio.shield(at_work)
+                at_work = asyncio.create_task(to_thread.run_sync(sink, bytes(waiting)))
+                waiting.clear()
+    finally:
+        # Whatever happened: nobody closes the file while it is written to.
+        if at_work is not None:
+            with CancelScope(shield=True):
+                await at_work
     if waiting:
         await to_thread.run_sync(sink, bytes(waiting))
 
@@ -111,8 +122,11 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     if before is not None:
         return before
     sha256 = incoming.finish()
-    found = here.service.parsers.parse(incoming.path, options.to_dict())
-    incoming.pack()
+    # At once: the reading is another process's.
+    with ThreadPoolExecutor(1) as beside:
+        packing = beside.submit(incoming.pack)
+        found = here.service.parsers.parse(incoming.path, options.to_dict())
+        packing.result()
     row = TableRow(
         id=here.new_id(), created=time.time(), owner=here.caller.owner,
         name=(found.name or options.name or sha256[:12])[:255],
