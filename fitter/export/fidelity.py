@@ -17,9 +17,11 @@ from fitter.formats.registry import Loss
 FloatArray = NDArray[np.float64]
 
 #: Pairs that are compared, the incidences that a model draws them at, and the seed of both.
-_PAIRS, _INCIDENCES, _SEED = 4000, 16, 1
+_PAIRS, _INCIDENCES, _SEED = 4000, 64, 1
 #: No closer to the horizon than a receiver gets: beyond, tables end.
 _STEEPEST = math.radians(80.0)
+#: What is fainter than this, of the largest value, is not compared.
+_FAINTEST = 1e-9
 #: Above this share (p95) the file is called too coarse for what it holds.
 TOO_COARSE = 0.1
 
@@ -67,7 +69,7 @@ def of_function(
     theirs, beyond = there(wi, wo)
     count = min(ours.shape[1], theirs.shape[1])
     ours, theirs = ours[:, :count], theirs[:, :count]
-    known = ~outside & ~beyond & np.isfinite(theirs).all(axis=1) & (ours > 0).all(axis=1)
+    known = ~outside & ~beyond & np.isfinite(theirs).all(axis=1) & seen(ours)
     if not known.any():
         return Loss("fidelity", "None of the directions compared is within what the file holds.")
     change = np.abs(theirs - ours)[known] / ours[known]
@@ -81,11 +83,18 @@ def of_function(
         f"Read {tool} the file differs from its source by {half:.2%} in the median and by {most:.2%} at most "
         f"for 95 % of {int(known.sum())} directions, {where}"
     )
+    if faint := int((~outside & ~seen(ours)).sum()):
+        said += f"; {faint} more are below {_FAINTEST:g} of the largest value"
     if beyond.any():
         said += f"; {int(beyond.sum())} more lie outside what the file holds"
     if most > TOO_COARSE:
         return Loss("too-coarse", f"{said}. The target is too coarse for this lobe.")
     return Loss("fidelity", f"{said}.")
+
+
+def seen(values: FloatArray) -> NDArray[np.bool_]:
+    """Which of the values (M, C) are large enough, in all channels, for a relative difference to count."""
+    return (values > _FAINTEST * values.max(axis=0, initial=0.0)).all(axis=1)
 
 
 def _cap(rng: np.random.Generator, count: int) -> FloatArray:

@@ -171,6 +171,15 @@ def _nodes(own: FloatArray, most: int, widest: float) -> FloatArray:
     return np.unique(np.concatenate([*between, nodes[-1:]]).astype(np.float32)).astype(np.float64)
 
 
+def mixture(lobe: Lobe, m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distribution of normals and projected area at directions (..., 3), of a lobe and wider ones."""
+    # From the lobe's width to that of a hemisphere of facets: the diffuse part needs samples too.
+    widths = [lobe, Lobe(lobe.along**0.5, lobe.across**0.5, lobe.psi), Lobe(1.0, 1.0)]
+    ndf = np.mean([one.density(m) for one in widths], axis=0)
+    # The projected area of the visible microfacets is cos / G1 with Smith's masking.
+    return ndf, np.mean([one.projected_area(m) for one in widths], axis=0)
+
+
 def parameterisation(theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: int) -> Adaptive:
     """Where the samples lie, without their values: for incident angles (T,) and azimuths (P,), ``steps``
     samples on each axis, about a lobe. All rounded to float32, as the file holds it."""
@@ -179,11 +188,7 @@ def parameterisation(theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: 
     # One row does where no azimuth differs; the format wants two.
     azimuth = np.linspace(-np.pi, np.pi, _NODES) if lobe.anisotropic else np.zeros(1)
     m = directions.vector_from_spherical(theta, azimuth[:, None])
-    # From the lobe's width to that of a hemisphere of facets: the diffuse part needs samples too.
-    widths = [lobe, Lobe(lobe.along**0.5, lobe.across**0.5, lobe.psi), Lobe(1.0, 1.0)]
-    ndf = np.mean([one.density(m) for one in widths], axis=0)
-    # The projected area of the visible microfacets is cos / G1 with Smith's masking.
-    sigma = np.mean([one.projected_area(m) for one in widths], axis=0)
+    ndf, sigma = mixture(lobe, m)
     phi, incidence = np.meshgrid(phi_i, theta_i, indexing="ij")
     c, s = np.cos(theta), np.sin(theta)
     across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))
@@ -239,16 +244,23 @@ def _resampled(
 
 
 def fields(
-    name: str, channels: Sequence[Channel], adaptive: Adaptive, order: Sequence[int], measured: BoolArray,
-    above: BoolArray,
+    name: str, channels: Sequence[Channel], adaptive: Adaptive, order: Sequence[int],
+    measured: BoolArray | None, above: BoolArray, drawn: FloatArray | None = None,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
-    """The file's fields; ``order`` : which channel of the source each of the file's is."""
+    """The file's fields.
+
+    order : which channel of the source each of the file's is. measured : (P T, N N), None where all is.
+    drawn : (P T, N N) by what samples are weighted where a renderer draws directions; None where their places
+    are the visible normals', so that it draws by f cos with all weights 1.
+    """
     shape, image = (len(adaptive.phi_i), len(adaptive.theta_i)), adaptive.data.shape[-2:]
     chosen: list[Channel] = [channels[k] for k in order]
     spectral = all(channel.wavelength_nm is not None for channel in chosen) and len(set(order)) == len(order)
     weights = np.full(len(order), 1 / len(order)) if spectral else np.array(_LUMINANCE)
     # A renderer scales it to unit integral: it can't be 0 everywhere.
     luminance = np.maximum(np.einsum("c,tcyx->tyx", weights, adaptive.data), 0.0)
+    if drawn is not None:
+        luminance *= drawn.reshape(luminance.shape)
     luminance += np.maximum(1e-6 * luminance.max(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
     text = one_line(name) or "without a name"
     fields: dict[str, NDArray[Any]] = {
@@ -257,7 +269,7 @@ def fields(
         "phi_i": adaptive.phi_i.astype(np.float32),
         "theta_i": adaptive.theta_i.astype(np.float32),
         "sigma": adaptive.sigma, "ndf": adaptive.ndf,
-        "vndf": adaptive.vndf.reshape(*shape, _NODES, _NODES),
+        "vndf": adaptive.vndf.reshape(*shape, *adaptive.vndf.shape[-2:]),
         "luminance": luminance.astype(np.float32).reshape(*shape, *image),
     }  # fmt: skip
     if spectral:
@@ -265,5 +277,6 @@ def fields(
     fields["spectra" if spectral else "rgb"] = adaptive.data.reshape(*shape, -1, *image)
     fields["jacobian"] = np.array([1], np.uint8)
     fields["valid"] = np.packbits(above)
-    fields[MEASURED] = measured.reshape(*shape, *image).astype(np.uint8)
+    if measured is not None:
+        fields[MEASURED] = measured.reshape(*shape, *image).astype(np.uint8)
     return fields
