@@ -26,7 +26,9 @@ _FAINTEST = 1e-9
 TOO_COARSE = 0.1
 
 
-def compared_pairs(subject: Subject, count: int = _PAIRS) -> tuple[FloatArray, FloatArray]:
+def compared_pairs(
+    subject: Subject, count: int = _PAIRS, seed: int = _SEED
+) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) to compare at. Of a model half are drawn from its own sampler, half evenly over the two
     hemispheres up to 80 deg; of a table they are its own samples."""
     if subject.table is not None:
@@ -36,12 +38,12 @@ def compared_pairs(subject: Subject, count: int = _PAIRS) -> tuple[FloatArray, F
         above = wo[:, 2] > 0
         return wi[above], wo[above]
     assert subject.model is not None
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(seed)
     wi, wo = _cap(rng, (count + 1) // 2), _cap(rng, (count + 1) // 2)
     drawn = [wi], [wo]
     each = math.ceil(count / 2 / _INCIDENCES)
     for k, incidence in enumerate(_cap(rng, _INCIDENCES)):
-        found = subject.model.sample(incidence, each, seed=_SEED + k)
+        found = subject.model.sample(incidence, each, seed=seed + k)
         some = found.wo[found.valid & (found.wo[:, 2] > math.cos(_STEEPEST))]
         drawn[0].append(np.broadcast_to(incidence, some.shape))
         drawn[1].append(some)
