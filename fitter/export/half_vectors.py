@@ -177,11 +177,11 @@ class HalfVectors:
         """Samples (M, C): f_r cos(theta_o) / (D / 4 sigma) at incidences and half vectors (M,) each."""
         wi = directions.vector_from_spherical(theta, phi)
         wo = self._outgoing(wi, phi, u, v)
-        # Below the horizon f cos goes on with the other sign, so that it is 0 on it, and not only near it.
-        mirrored = np.concatenate([wo[:, :2], np.abs(wo[:, 2:])], axis=1)
-        value = self.subject.evaluate(wi, mirrored)[0]
+        # Below the horizon it is 0: any other continuation shows above it where light leaves at grazing.
+        cosine = np.maximum(wo[:, 2:], 0.0)
+        value = self.subject.evaluate(wi, np.concatenate([wo[:, :2], np.abs(wo[:, 2:])], axis=1))[0]
         value = np.where(np.isfinite(value), value, 0.0)
-        return value * (wo[:, 2] / self._factor(theta, phi, u, v))[:, None]
+        return value * cosine / self._factor(theta, phi, u, v)[:, None]
 
     def _outgoing(self, wi: FloatArray, phi: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
         turned = (2 * v - 1) * np.pi + (phi if self.isotropic else 0.0)

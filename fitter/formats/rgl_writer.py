@@ -213,10 +213,10 @@ def sampled(evaluate: Evaluate, channels: int, bare: Adaptive) -> tuple[Float32A
     for node, wi in enumerate(bare.nodes()):
         wo, factor = bare.samples(node)
         above[node] = wo[:, 2] > 0
-        # Below the horizon f cos goes on with the other sign, so that it is 0 on it, and not only near it.
+        # Below the horizon it is 0: any other continuation shows above it where light leaves at grazing.
         mirrored = np.concatenate([wo[:, :2], np.abs(wo[:, 2:])], axis=1)
         value, outside = evaluate(np.broadcast_to(wi, wo.shape), mirrored)
-        value = np.where(np.isfinite(value), value, 0.0) * (wo[:, 2:] / factor[:, None])
+        value = np.where(np.isfinite(value), value, 0.0) * (np.maximum(wo[:, 2:], 0.0) / factor[:, None])
         limit = float(np.finfo(np.float32).max)
         data[node] = np.clip(value, -limit, limit).T.reshape(data.shape[1:])
         measured[node] = above[node] & ~outside

@@ -151,7 +151,7 @@ def test_openpbr_is_made_of_what_it_says(metal: ReflectanceModel) -> None:
     eon = models.create("oren_nayar:eon", channels=("R", "G", "B"), rho=colour, sigma=0.3)
     high = wo[:, 2] > 0.8
     found = openpbr(3)(bare, wi[high], wo[high])
-    np.testing.assert_allclose(found, eon.evaluate(wi[high], wo[high]), rtol=1e-3)
+    np.testing.assert_allclose(found, eon.evaluate(wi[high], wo[high]), rtol=2e-3)
 
 
 def test_openpbr_holds_a_brushed_surface(brushed: ReflectanceModel, tmp_path: Path) -> None:
