@@ -119,10 +119,11 @@ def _chance(mi: Any, bsdf: Any, wi: FloatArray, count: int) -> tuple[float, Floa
     return chi_square_p(found.reshape(-1), expected.reshape(-1)), weight.mean(axis=0)
 
 
-def test_the_plugin_draws_the_model(mi: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["torrance_sparrow", "ward:bounded:anisotropic"])
+def test_the_plugin_draws_the_model(mi: Any, name: str, tmp_path: Path) -> None:
     import fitter.export.mitsuba as plugin
 
-    model = make("torrance_sparrow")
+    model = make(name)
     write(model, "json", tmp_path / "m.json")
     bsdf = mi.load_dict({"type": plugin.MODEL, "filename": str(tmp_path / "m.json")})
     wi, wo = (w[:200] for w in compared_pairs(subject(model), 1000))

@@ -44,7 +44,7 @@ def _write_model(subject: Subject, path: Path) -> Written:
     layout = HalfVectors(subject)
     adaptive, drawn, above = layout.sampled(layout.chosen())
     stored = replace(adaptive, data=adaptive.data[:, order])
-    about = " ".join([subject.name, *subject.comments()])
+    about = " ".join([subject.name, *subject.comments(), f"{TARGET.convention}."])
     fields = rgl_writer.fields(about, subject.channels, stored, order, None, above, drawn)
     write_aside(path, tensor_bytes(fields))
     angles, azimuths = len(stored.theta_i), len(stored.phi_i)
