@@ -17,14 +17,18 @@ from fitter.formats.registry import Loss
 FloatArray = NDArray[np.float64]
 
 #: Pairs that are compared, the incidences that a model draws them at, and the seed of both.
-_PAIRS, _INCIDENCES, _SEED = 4000, 16, 1
+_PAIRS, _INCIDENCES, _SEED = 4000, 64, 1
 #: No closer to the horizon than a receiver gets: beyond, tables end.
 _STEEPEST = math.radians(80.0)
+#: What is fainter than this, of the largest value, is not compared.
+_FAINTEST = 1e-9
 #: Above this share (p95) the file is called too coarse for what it holds.
 TOO_COARSE = 0.1
 
 
-def compared_pairs(subject: Subject, count: int = _PAIRS) -> tuple[FloatArray, FloatArray]:
+def compared_pairs(
+    subject: Subject, count: int = _PAIRS, seed: int = _SEED
+) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) to compare at. Of a model half are drawn from its own sampler, half evenly over the two
     hemispheres up to 80 deg; of a table they are its own samples."""
     if subject.table is not None:
@@ -34,12 +38,12 @@ def compared_pairs(subject: Subject, count: int = _PAIRS) -> tuple[FloatArray, F
         above = wo[:, 2] > 0
         return wi[above], wo[above]
     assert subject.model is not None
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(seed)
     wi, wo = _cap(rng, (count + 1) // 2), _cap(rng, (count + 1) // 2)
     drawn = [wi], [wo]
     each = math.ceil(count / 2 / _INCIDENCES)
     for k, incidence in enumerate(_cap(rng, _INCIDENCES)):
-        found = subject.model.sample(incidence, each, seed=_SEED + k)
+        found = subject.model.sample(incidence, each, seed=seed + k)
         some = found.wo[found.valid & (found.wo[:, 2] > math.cos(_STEEPEST))]
         drawn[0].append(np.broadcast_to(incidence, some.shape))
         drawn[1].append(some)
@@ -67,7 +71,7 @@ def of_function(
     theirs, beyond = there(wi, wo)
     count = min(ours.shape[1], theirs.shape[1])
     ours, theirs = ours[:, :count], theirs[:, :count]
-    known = ~outside & ~beyond & np.isfinite(theirs).all(axis=1) & (ours > 0).all(axis=1)
+    known = ~outside & ~beyond & np.isfinite(theirs).all(axis=1) & seen(ours)
     if not known.any():
         return Loss("fidelity", "None of the directions compared is within what the file holds.")
     change = np.abs(theirs - ours)[known] / ours[known]
@@ -81,11 +85,18 @@ def of_function(
         f"Read {tool} the file differs from its source by {half:.2%} in the median and by {most:.2%} at most "
         f"for 95 % of {int(known.sum())} directions, {where}"
     )
+    if faint := int((~outside & ~seen(ours)).sum()):
+        said += f"; {faint} more are below {_FAINTEST:g} of the largest value"
     if beyond.any():
         said += f"; {int(beyond.sum())} more lie outside what the file holds"
     if most > TOO_COARSE:
         return Loss("too-coarse", f"{said}. The target is too coarse for this lobe.")
     return Loss("fidelity", f"{said}.")
+
+
+def seen(values: FloatArray) -> NDArray[np.bool_]:
+    """Which of the values (M, C) are large enough, in all channels, for a relative difference to count."""
+    return (values > _FAINTEST * values.max(axis=0, initial=0.0)).all(axis=1)
 
 
 def _cap(rng: np.random.Generator, count: int) -> FloatArray:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-#: Directions that are evaluated together: what a chunk takes stays below some 100 MB.
-_CHUNK = 1 << 16
+#: Directions that are evaluated together: what the largest takes stays below some 100 MB.
+_SIZES = (64, 4096, 65536)
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Subject:
         if self.table is not None:
             return self.table.evaluate(wi, wo)
         assert self.model is not None
-        # Chunks of one size share one compiled program.
-        size = min(_CHUNK, max(64, 1 << (len(wi) - 1).bit_length()))
+        # Each size is a compiled program of its own: few of them.
+        size = next((size for size in _SIZES if len(wi) <= size), _SIZES[-1])
         parts: list[FloatArray] = []
         for start in range(0, len(wi), size):
             pair = [w[start : start + size] for w in (wi, wo)]

@@ -59,8 +59,8 @@ def write(table: Table, path: Path) -> list[Loss]:
     names = AXES[table.grid.system]
     incident, outgoing = names[:-2], names[-2:]
     said = {
-        WORD: VERSION, "system": table.grid.system, "pixels": json.dumps(pixels), **content.statements,
-        "notes": json.dumps(content.notes),
+        WORD: VERSION, "holds": "f_r in 1/sr, without the cosine", "system": table.grid.system,
+        "pixels": json.dumps(pixels), **content.statements, "notes": json.dumps(content.notes),
         **{name: json.dumps(table.grid.axes[name].tolist()) for name in outgoing},
     }  # fmt: skip
     shape = table.grid.shape

@@ -89,6 +89,7 @@ def write(table: Table, path: Path) -> list[Loss]:
     for k in range(len(incidences)):
         here = np.flatnonzero(owner.reshape(-1) == k)
         head = [
+            "#comment f_r in 1/sr, without the cosine; angles in degrees",
             f'#sample_name "{one_line(table.metadata.name).replace(chr(34), chr(39))}"',
             f"#intheta {float(np.rad2deg(samples.theta_i[here[0]]))!r}",
             f"#inphi {float(np.rad2deg(samples.phi_i[here[0]]))!r}",

@@ -121,6 +121,7 @@ def _lines(table: Table, grid: _Grid, xyz: bool) -> Iterator[str]:
     several = len(grid.rotation) > 1
     (channel,) = table.channels if not xyz else (table.channels[0],)
     yield f"# {one_line(table.metadata.name)}"
+    yield "# f_r in 1/sr, without the cosine"
     if channel.wavelength_nm is not None:
         yield f"# wavelength: {channel.wavelength_nm!r} nm"
     yield "Source\tMeasured"

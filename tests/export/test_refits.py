@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +18,17 @@ from fitter import models
 from fitter.errors import SpecError
 from fitter.export import subject, target, write
 from fitter.export.fidelity import compared_pairs
+from fitter.export.openpbr import openpbr
 from fitter.export.principled import principled
 from fitter.models import ReflectanceModel
 from tests.export.conftest import make
 from tests.export.test_mitsuba import evaluated, mi  # noqa: F401 (a fixture)
+from tests.export.test_sources import glslang
 
 #: A material's name that would end a comment, a line or a string in one language or another.
 NASTY = 'worn --> <brass> */ \\ " & \x01 é\n\\'
 
-REFITS = ("gltf", "materialx", "mitsuba-principled", "mitsuba-conductor", "radiance")
+REFITS = ("gltf", "materialx", "openpbr", "mitsuba-principled", "mitsuba-conductor", "radiance")
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +40,14 @@ def metal() -> ReflectanceModel:
         f0=[0.9, 0.6, 0.3],
         alpha=0.2,
     )
+
+
+@pytest.fixture(scope="module")
+def brushed() -> ReflectanceModel:
+    return models.create(
+        "torrance_sparrow:ggx:smith:anisotropic:no_diffuse", channels=("R", "G", "B"), ks=1.0,
+        f0=[0.9, 0.6, 0.3], alpha_x=0.3, alpha_y=0.15, psi=0.4,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REFITS)
@@ -81,9 +94,17 @@ def test_gltf_finds_the_material_that_it_is(tmp_path: Path) -> None:
     assert material["extras"]["residuals"] == told.to_dict()["residuals"]
 
 
-def test_materialx_validates(metal: ReflectanceModel, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "node", "source"),
+    [("materialx", "gltf_pbr", "metal"), ("openpbr", "open_pbr_surface", "metal"),
+     ("openpbr", "open_pbr_surface", "brushed")],
+)  # fmt: skip
+def test_materialx_validates(
+    name: str, node: str, source: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Its validator takes the document, and its generator of shaders makes one of it that compiles."""
     mx: Any = pytest.importorskip("MaterialX", reason="NO MATERIALX: its documents are not validated")
-    write(metal, "materialx", tmp_path / "m.mtlx", name=NASTY)
+    write(request.getfixturevalue(source), name, tmp_path / "m.mtlx", name=NASTY)
     library = mx.createDocument()
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
     document = mx.createDocument()
@@ -94,9 +115,58 @@ def test_materialx_validates(metal: ReflectanceModel, tmp_path: Path) -> None:
     (material,) = document.getMaterialNodes()
     (shader,) = mx.getShaderNodes(material)
     assert shader.getNodeDef() is not None
-    assert shader.getNodeDef().getNodeString() == "gltf_pbr"
+    assert shader.getNodeDef().getNodeString() == node
     for given in shader.getInputs():
         assert shader.getNodeDef().getActiveInput(given.getName()) is not None
+    generation = importlib.import_module("MaterialX.PyMaterialXGenShader")
+    generator = importlib.import_module("MaterialX.PyMaterialXGenGlsl").GlslShaderGenerator.create()
+    context = generation.GenContext(generator)
+    for folder in mx.getDefaultDataSearchPath().asString().split(os.pathsep):
+        context.registerSourceCodeSearchPath(mx.FilePath(folder))
+        context.registerSourceCodeSearchPath(mx.FilePath(folder) / "libraries")
+    made = generator.generate("m", shader, context).getSourceCode(generation.PIXEL_STAGE)
+    (tmp_path / "m.frag").write_text(made)
+    validator, environment = glslang()
+    done = subprocess.run([validator, tmp_path / "m.frag"], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stdout[-4000:]
+
+
+def test_openpbr_is_made_of_what_it_says(metal: ReflectanceModel) -> None:
+    """A metal is Schlick's GGX but for what scatters twice, a base without an index is the diffuse model."""
+    wi, wo = (w[::25] for w in compared_pairs(subject(metal), 1000))
+    colour = np.array([0.9, 0.6, 0.3])
+    values = {
+        "base_color": colour, "specular_color": np.ones(3), "base_diffuse_roughness": np.array(0.3),
+        "base_metalness": np.array(1.0), "specular_roughness": np.sqrt(0.2), "specular_ior": np.array(1.5),
+    }  # fmt: skip
+    ratio = openpbr(3)(values, wi, wo) / np.asarray(metal.evaluate(wi, wo))
+    # What GGX of that width loses at a white metal: 1 - E, at most a tenth here.
+    form = "torrance_sparrow:ggx:smith:none:no_diffuse"
+    once = np.asarray(models.create(form, channels=("w",), ks=1.0, alpha=0.2).albedo(wo))
+    h = (wi + wo) / np.linalg.norm(wi + wo, axis=1)[:, None]
+    fresnel = colour + (1 - colour) * (1 - (h * wo).sum(axis=1)[:, None]) ** 5
+    np.testing.assert_allclose(ratio, 1 + fresnel * (1 - once) / once, rtol=0.01)
+    bare = {**values, "base_metalness": np.array(0.0), "specular_ior": np.array(1.0)}
+    # A mirror-like interface without an index loses nothing but at grazing.
+    eon = models.create("oren_nayar:eon", channels=("R", "G", "B"), rho=colour, sigma=0.3)
+    high = wo[:, 2] > 0.8
+    found = openpbr(3)(bare, wi[high], wo[high])
+    np.testing.assert_allclose(found, eon.evaluate(wi[high], wo[high]), rtol=2e-3)
+
+
+def test_openpbr_holds_a_brushed_surface(brushed: ReflectanceModel, tmp_path: Path) -> None:
+    told = write(brushed, "openpbr", tmp_path / "m.mtlx")
+    assert told.residuals["refit"] < 0.1
+    found = told.residuals["parameters"]
+    r, stretch = found["specular_roughness"], 1 - found["specular_roughness_anisotropy"]
+    along = r * r * np.sqrt(2 / (1 + stretch**2))
+    np.testing.assert_allclose([along, stretch * along], [0.3, 0.15], rtol=0.1)
+    # The tangent lies along the rougher axis, 0.4 from x; MaterialX's rotate3d turns v to v c + (v x axis) s.
+    amount = re.search(r'name="amount" type="float" value="([^"]+)"', (tmp_path / "m.mtlx").read_text())
+    assert amount is not None
+    angle, x = np.deg2rad(float(amount[1])), np.array([1.0, 0.0, 0.0])
+    turned = x * np.cos(angle) + np.cross(x, [0.0, 0.0, 1.0]) * np.sin(angle)
+    assert abs(turned @ [np.cos(0.4), np.sin(0.4), 0.0]) > 0.999
 
 
 def test_mitsuba_has_the_formulas_that_were_fitted(mi: Any, metal: ReflectanceModel, tmp_path: Path) -> None:  # noqa: F811

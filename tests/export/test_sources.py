@@ -132,7 +132,7 @@ def test_glsl_is_the_model_within_float32_rounding(
         assert worst <= 1, f"{name}: {worst}"
 
 
-def _glslang() -> tuple[str, dict[str, str]]:
+def glslang() -> tuple[str, dict[str, str]]:
     """The validator, the system's or that of the wheel, which has to be told where its libraries are."""
     prefix = Path(sysconfig.get_path("purelib")) / "cmeel.prefix"
     wheel = prefix / "bin" / "glslangValidator"
@@ -144,7 +144,7 @@ def _glslang() -> tuple[str, dict[str, str]]:
 def test_glsl_and_the_shader_of_brdf_explorer_compile(
     models: dict[str, ReflectanceModel], tmp_path: Path
 ) -> None:
-    validator, environment = _glslang()
+    validator, environment = glslang()
     shaders: list[Path] = []
     for k, model in enumerate(models.values()):
         write(model, "glsl", tmp_path / "m.glsl")

@@ -275,7 +275,7 @@ def test_an_rgl_file_is_fitted_as_the_interpolant(
     base: Table, best: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Its samples lie elsewhere than a table's: the format rounds to float32, interpolation widens lobes."""
-    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, 9),))
+    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, (9,)),))
     write(base, tmp_path / "t.bsdf", "rgl")
     back = load(tmp_path / "t.bsdf")
     value, _ = base.evaluate(back.wi, back.wo)

@@ -45,7 +45,7 @@ def smooth(channels: int = 1, names: list[Channel] | None = None) -> Table:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, 24),))
+    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, (24,)),))
 
 
 @pytest.mark.usefixtures("few")
@@ -117,7 +117,7 @@ class TestRoundTrip:
 
 def test_anisotropic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A surface that is brighter along x: at the samples, and between them."""
-    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, 16),))
+    monkeypatch.setattr(rgl_writer, "_STEPS", ((10**6, (16,)),))
 
     def bright(wi: FloatArray, wo: FloatArray) -> FloatArray:
         return 1.0 + 0.4 * (wi[:, 0] + wo[:, 0]) ** 2 + 0.1 * wi[:, 1] * wo[:, 0]

@@ -35,37 +35,49 @@ def _sky(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
     return np.exp(2.0 * x) + 0.5 * (1 + np.cos(theta))[:, None]
 
 
-def ours(kind: str, swapped: bool, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    materials = {
-        "lambert": {"model": "lambert", "values": {"kd": KD}},
-        "metal": {
-            "model": {
-                "family": "torrance_sparrow", "ndf": "ggx", "masking": "smith_separable",
-                "fresnel": "conductor", "diffuse": "none",
-            },
-            "values": {"ks": 1.0, "alpha": ALPHA, "eta": ETA, "kappa": KAPPA},
+LAMBERT: tuple[dict[str, Any], dict[str, Any]] = (
+    {"model": "lambert", "values": {"kd": KD}},
+    {"type": "diffuse", "reflectance": {"type": "spectrum", "value": KD}},
+)
+METAL: tuple[dict[str, Any], dict[str, Any]] = (
+    {
+        "model": {
+            "family": "torrance_sparrow", "ndf": "ggx", "masking": "smith_separable", "fresnel": "conductor",
+            "diffuse": "none",
         },
-    }  # fmt: skip
+        "values": {"ks": 1.0, "alpha": ALPHA, "eta": ETA, "kappa": KAPPA},
+    },
+    {
+        "type": "roughconductor", "distribution": "ggx", "alpha": ALPHA,
+        "eta": {"type": "spectrum", "value": ETA}, "k": {"type": "spectrum", "value": KAPPA},
+    },
+)  # fmt: skip
+
+
+def ours(
+    kind: str, plane: dict[str, Any], ball: dict[str, Any], folder: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance and its standard error, per pixel, of our materials."""
     (folder / "sky.exr").write_bytes(exr_bytes({"Y": sky().astype(np.float32)}, {}))
     lights = {
         "directional": {"kind": "directional", "direction": [1, -1, 1.5], "irradiance": 2.0},
         "environment": {"kind": "environment", "file": "sky.exr"},
     }
-    a, b = ("metal", "lambert") if swapped else ("lambert", "metal")
     document = {
         "camera": {"position": EYE, "look_at": AT, "fov_deg": FOV, "width": WIDTH, "height": HEIGHT},
         "channels": ["value"], "bounces": 0, "light_samples": 1, "lights": [lights[kind]],
-        "materials": materials,
+        "materials": {"a": plane, "b": ball},
         "shapes": [
-            {"kind": "plane", "size": [6, 6], "material": a},
-            {"kind": "sphere", "center": [0, 0, 0.7], "radius": 0.6, "material": b},
+            {"kind": "plane", "size": [6, 6], "material": "a"},
+            {"kind": "sphere", "center": [0, 0, 0.7], "radius": 0.6, "material": "b"},
         ],
     }  # fmt: skip
     picture = render(scene(document, folder=folder), samples=SAMPLES, seed=11)
     return picture.radiance[..., 0], picture.standard_error[..., 0]
 
 
-def theirs(kind: str, swapped: bool) -> tuple[np.ndarray, np.ndarray]:
+def theirs(kind: str, plane: dict[str, Any], ball: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """The same of Mitsuba's BSDFs."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import mitsuba
@@ -73,11 +85,6 @@ def theirs(kind: str, swapped: bool) -> tuple[np.ndarray, np.ndarray]:
         mi: Any = mitsuba
         mi.set_variant("scalar_rgb")
         t = mi.ScalarTransform4f
-        lambert = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": KD}}
-        metal = {
-            "type": "roughconductor", "distribution": "ggx", "alpha": ALPHA,
-            "eta": {"type": "spectrum", "value": ETA}, "k": {"type": "spectrum", "value": KAPPA},
-        }  # fmt: skip
         if kind == "directional":
             light: dict[str, Any] = {
                 "type": "directional", "direction": [-1, 1, -1.5],
@@ -89,7 +96,6 @@ def theirs(kind: str, swapped: bool) -> tuple[np.ndarray, np.ndarray]:
             phi = np.pi / 2 - (np.arange(512) + 0.5) * 2 * np.pi / 512
             pixels = np.repeat(_sky(theta, phi)[..., None], 3, axis=2).astype(np.float32)
             light = {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": t().rotate([1, 0, 0], 90)}
-        a, b = (metal, lambert) if swapped else (lambert, metal)
         loaded = mi.load_dict(
             {
                 "type": "scene", "integrator": {"type": "direct"}, "light": light,
@@ -102,8 +108,8 @@ def theirs(kind: str, swapped: bool) -> tuple[np.ndarray, np.ndarray]:
                     },
                     "sampler": {"type": "independent"},
                 },
-                "plane": {"type": "rectangle", "to_world": t().scale([3, 3, 1]), "bsdf": a},
-                "ball": {"type": "sphere", "center": [0, 0, 0.7], "radius": 0.6, "bsdf": b},
+                "plane": {"type": "rectangle", "to_world": t().scale([3, 3, 1]), "bsdf": plane},
+                "ball": {"type": "sphere", "center": [0, 0, 0.7], "radius": 0.6, "bsdf": ball},
             }
         )  # fmt: skip
         passes = np.stack(
@@ -115,7 +121,12 @@ def theirs(kind: str, swapped: bool) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("swapped", [False, True], ids=["metal-ball", "metal-plane"])
 @pytest.mark.parametrize("kind", ["directional", "environment"])
 def test_pictures_agree(kind: str, swapped: bool, tmp_path: Path) -> None:
-    a, b = ours(kind, swapped, tmp_path), theirs(kind, swapped)
+    plane, ball = (METAL, LAMBERT) if swapped else (LAMBERT, METAL)
+    assert_same(ours(kind, plane[0], ball[0], tmp_path), theirs(kind, plane[1], ball[1]))
+
+
+def assert_same(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> None:
+    """Means within 3 standard errors, differences of pixels over theirs as standard normal numbers."""
     assert b[0].max() > 0
     spread = np.sqrt((a[1] ** 2).sum() + (b[1] ** 2).sum()) / a[0].size
     assert abs(a[0].mean() - b[0].mean()) < 3 * spread + 2e-5 * b[0].mean()

@@ -28,6 +28,7 @@ def refitted(subject: Subject) -> Refit:
 def write(subject: Subject, path: Path) -> Written:
     found = refitted(subject)
     colour = np.broadcast_to(found.values["base_color"], (3,))
+    comments = [*subject.comments(), found.sentence(), f"{TARGET.convention}."]
     material: dict[str, Any] = {
         "name": subject.name,
         "pbrMetallicRoughness": {
@@ -35,7 +36,7 @@ def write(subject: Subject, path: Path) -> Written:
             "metallicFactor": float(found.values["metallic"]),
             "roughnessFactor": float(found.values["roughness"]),
         },
-        "extras": {"comments": [*subject.comments(), found.sentence()], "residuals": found.residuals()},
+        "extras": {"comments": comments, "residuals": found.residuals()},
     }
     asset = {"version": "2.0", "generator": "brdf-fitter"}
     write_document({"asset": asset, "materials": [material]}, path)

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitter.errors import SpecError
-from fitter.export.fidelity import fidelity
-from fitter.export.lobe import lobe_of
+from fitter.export.fidelity import fidelity, of_function
+from fitter.export.half_vectors import HalfVectors
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
 from fitter.formats import rgl_writer
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.output import write_aside
 from fitter.formats.registry import Loss
+from fitter.formats.rgl import adaptive_of
+from fitter.formats.source import Source
+from fitter.formats.tensor_file import fields as fields_of
 from fitter.formats.tensor_file import tensor_bytes
 
-#: Incidences and samples of each on either axis, with one azimuth and with several. Even incidences: what the
-#: lobe does near grazing is no steeper than elsewhere in the format's own coordinates.
-_ISOTROPIC, _ANISOTROPIC = (61, 96), (21, 48)
-#: Azimuths of half a turn, the rest being its image: the four families have that symmetry.
-_AZIMUTHS = 25
-#: Where incidences end, degrees.
-_LAST = 89.9
+FloatArray = NDArray[np.float64]
 
 
 def write(subject: Subject, path: Path) -> Written:
@@ -43,23 +41,32 @@ def _write_model(subject: Subject, path: Path) -> Written:
     order = list(range(count)) if spectral or count == 3 else [0, 0, 0]
     if spectral:
         order.sort(key=lambda k: subject.channels[k].wavelength_nm or 0.0)
-    isotropic = subject.symmetry == "isotropic"
-    angles, steps = _ISOTROPIC if isotropic else _ANISOTROPIC
-    theta_i = np.deg2rad(np.linspace(0.0, _LAST, angles)).astype(np.float32).astype(np.float64)
-    phi_i = np.zeros(1)
-    if not isotropic:
-        phi_i = np.linspace(-np.pi, 0.0, _AZIMUTHS).astype(np.float32).astype(np.float64)
-    bare = rgl_writer.parameterisation(theta_i, phi_i, lobe_of(subject), steps)
-    data, measured, above = rgl_writer.sampled(subject.evaluate, count, bare)
-    adaptive = Adaptive(bare.theta_i, bare.phi_i, bare.ndf, bare.sigma, bare.vndf, data[:, order])
-    fields = rgl_writer.fields(
-        " ".join([subject.name, *subject.comments()]), subject.channels, adaptive, order, measured, above
-    )
+    layout = HalfVectors(subject)
+    adaptive, drawn, above = layout.sampled(layout.chosen())
+    stored = replace(adaptive, data=adaptive.data[:, order])
+    about = " ".join([subject.name, *subject.comments(), f"{TARGET.convention}."])
+    fields = rgl_writer.fields(about, subject.channels, stored, order, None, above, drawn)
     write_aside(path, tensor_bytes(fields))
-    notes = [fidelity(subject, path)]
+    angles, azimuths = len(stored.theta_i), len(stored.phi_i)
+    shape = f"{angles} incident angles, {azimuths} azimuths" if azimuths > 1 else f"{angles} incidences"
+    size = path.stat().st_size / 1e6
+    said = f"{shape} of {stored.data.shape[-1]} x {stored.data.shape[-1]} samples each, {size:.1f} MB."
+    notes = [Loss("resolution", said), _fidelity(subject, path, order)]
     if order == [0, 0, 0]:
         notes.append(Loss("channels", "The one channel is there three times, as R, G and B."))
     return Written(tuple(notes))
+
+
+def _fidelity(subject: Subject, path: Path, order: list[int]) -> Loss:
+    """Of the file's own function, which is that of renderers."""
+    source = Source(path)
+    adaptive, _ = adaptive_of(source, fields_of(source))
+    own = [order.index(k) for k in range(len(subject.channels))]
+
+    def there(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        return adaptive.evaluate(wi, wo)[:, own] / wo[:, 2:], np.zeros(len(wi), bool)
+
+    return of_function(subject, there)
 
 
 TARGET = Target(
