@@ -15,7 +15,10 @@ def when(seconds: float) -> str:
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
+    verbs = (
+        "info", "check", "evaluate", "samples", "slices", "cuts", "lobe", "half-difference", "coverage",
+        "readings",
+    )  # fmt: skip
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     links["export"] = f"{here}/export/{{format}}"
