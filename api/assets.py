@@ -1,6 +1,6 @@
 """Assets: the files that the page is made of, under an address that changes with their content.
 
-The page's own scripts and style lie in ``api/page``; Plotly's bundle is in its wheel, which the lock file pins.
+The page's own scripts and style lie in ``api/page``, Plotly's bundle in its wheel, which the lock file pins.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-#: Of the <style> elements that Plotly makes: an empty one, which it inserts rules into, and one of its 3-D plots.
+#: Of the <style> elements that Plotly makes: an empty one, into which it inserts rules, and 3-D plots' own.
 STYLES = (
     "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='",
     "'sha256-ji27qzEtxXZW+7dun6UwjHXJ18e6WAin1VvNtkzIE/o='",

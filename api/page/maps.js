@@ -14,7 +14,7 @@ export async function drawHalfDifference(box, found, { choice, scaling }) {
   const x = found.theta_h_deg.map(Math.sqrt);
   const axes = {
     xaxis: { title: { text: "half angle θ_h / ° (even in its root)" }, range: [0, Math.sqrt(90)], tickvals: HALF.map(Math.sqrt), ticktext: HALF.map(String), showgrid: false },
-    yaxis: { title: { text: "difference angle θ_d / °" }, range: [0, 90], tickvals: [0, 15, 30, 45, 60, 75, 90], showgrid: false },
+    yaxis: { title: { text: "difference angle θ_d / °" }, range: [0, 90], tickvals: [0, 15, 30, 45, 60, 75, 90], showgrid: false, scaleanchor: false },
   };
   const text = level.map((row, d) => row.map((v, h) => `θ_h = ${found.theta_h_deg[h].toFixed(2)}°, θ_d = ${found.theta_d_deg[d].toFixed(1)}°<br>${v === null ? "not measured" : `${v.toPrecision(4)} 1/sr, ${found.samples[d][h]} samples`}`));
   const about = `Mean f_r over half and difference angle, ${found.looked_at} samples, from ${scaled.low.toPrecision(3)} to ${scaled.high.toPrecision(3)} per steradian.`;

@@ -64,6 +64,8 @@ export async function draw(box, traces, layout, about) {
     if (/^[xy]axis\d*$/.test(name)) whole[name] = { ...axis(colours), ...whole[name], title: { standoff: 8, ...whole[name].title } };
   }
   if (whole.polar) whole.polar = { bgcolor: "rgba(0,0,0,0)", ...whole.polar };
+  // What was said while nothing was drawn yet.
+  for (const said of box.querySelectorAll(":scope > p, :scope > .problem")) said.remove();
   box.setAttribute("role", "img");
   box.setAttribute("aria-label", about);
   box.again = () => draw(box, traces, layout, about);

@@ -34,7 +34,8 @@ export function bands(box, fit, now) {
   fill(box, box.plot ? "" : WAITING, async () => {
     const { slices } = await reportOf(fit, now.posterior);
     if (!slices.slices.length) return el("p", {}, "No sample lies near the plane of incidence.");
-    const k = Math.min(Number(now.incidence) || 0, slices.slices.length - 1);
+    const middle = Math.floor(slices.slices.length / 2);
+    const k = Math.min(now.incidence === "" ? middle : Number(now.incidence) || 0, slices.slices.length - 1);
     const channel = slices.channels.includes(now.channel) ? now.channel : slices.channels[0];
     const controls = el("div", { class: "controls" },
       field("Incidence", select(slices.slices.map((one, n) => [String(n), `θ_i = ${number(one.theta_i_deg)}°`]), String(k), (value) => set({ incidence: value }))),
@@ -64,7 +65,7 @@ async function drawBand(plot, slice, channel, scaling, model) {
     type: "scatter", mode: "markers", x: points.theta_o_deg, y: points.measured[channel].map(scaled.at), name: "measured", marker: { color: "rgba(0,0,0,0)", size: 6, line: { color: "#777777", width: 1.4 } },
     hovertext: points.theta_o_deg.map((x, n) => `θ_o = ${x}°: ${number(points.measured[channel][n])} 1/sr`), hoverinfo: "text",
   });
-  const mirror = { type: "line", yref: "paper", y0: 0, y1: 1, x0: slice.theta_i_deg, x1: slice.theta_i_deg, layer: "below", line: { color: "#888888", dash: "dash", width: 1 } };
+  const mirror = { type: "line", yref: "paper", y0: 0, y1: 1, x0: slice.theta_i_deg, x1: slice.theta_i_deg, layer: "between", line: { color: "#888888", dash: "dash", width: 1 } };
   await draw(plot, traces, { xaxis: { title: { text: NAMES.theta_o_signed } }, yaxis: scaledAxis(scaled, "f_r / (1/sr)"), showlegend: true, shapes: [mirror] },
     `Measured in-plane samples at θ_i = ${slice.theta_i_deg}°, the fitted ${model} and its 95 % band, channel ${channel}.`);
 }

@@ -39,7 +39,7 @@ function side(fits) {
   const rows = [
     ["status", ...fits.map((fit) => fit.status)], ["metric", ...fits.map((fit) => fit.spec.metric || fit.table?.metric || "default")],
     ["relative rmse", ...fits.map((fit) => number(fit.metrics.relative_rmse, 3))], ["rmse / (1/sr)", ...fits.map((fit) => number(fit.metrics.rmse, 3))],
-    ["R²", ...fits.map((fit) => number(fit.metrics.r2, 4))], ["time", ...fits.map((fit) => seconds(fit.seconds))],
+    ["R²", ...fits.map((fit) => number(fit.metrics.r2, 4))], ["time", ...fits.map((fit) => seconds(fit.cost.seconds))],
   ];
   const names = [...new Set(fits.flatMap((fit) => Object.keys(fit.parameters)))];
   for (const name of names) {

@@ -33,9 +33,15 @@ function ticksOf(name, low, high) {
     const factors = powers.length <= 2 ? [1, 2, 5] : powers.length <= 4 ? [1, 3] : [1];
     return powers.flatMap((p) => factors.map((f) => f * 10 ** p)).filter((v) => v >= low * 0.999 && v <= high * 1.001);
   }
-  // Cubes of evenly spaced places, rounded to one digit.
-  const places = linear(Math.cbrt(low), Math.cbrt(high)).map((x) => x ** 3);
-  return [...new Set(places.map((v) => Number(v.toPrecision(1))))];
+  // Round numbers, the largest first, each far enough from those taken.
+  const apart = (Math.cbrt(high) - Math.cbrt(low)) / 9;
+  const round = [];
+  for (let p = Math.ceil(Math.log10(Math.max(high, -low))); p > -9; p--) for (const f of [5, 2, 1]) round.push(f * 10 ** p);
+  const taken = [0];
+  for (const v of round.flatMap((one) => [one, -one])) {
+    if (v >= low && v <= high && taken.every((other) => Math.abs(Math.cbrt(other) - Math.cbrt(v)) >= apart)) taken.push(v);
+  }
+  return taken;
 }
 
 function linear(low, high) {

@@ -19,7 +19,7 @@ export async function drawSlices(box, curves, { polar, scaling, thetas, about })
     await draw(box, traces, {
       polar: {
         sector: [0, 180], angularaxis: {
-          rotation: 90, direction: "clockwise", tickvals: [270, 300, 330, 0, 30, 60, 90], ticktext: ["−90°", "−60°", "−30°", "0°", "30°", "60°", "90°"],
+          rotation: 90, direction: "clockwise", tickvals: [-90, -60, -30, 0, 30, 60, 90], ticktext: ["−90°", "−60°", "−30°", "0°", "30°", "60°", "90°"],
           gridcolor: grid, linecolor: grid,
         },
         radialaxis: { range: [scaled.from, scaled.to + 0.03 * (scaled.to - scaled.from)], tickvals: scaled.tickvals, ticktext: scaled.ticktext, gridcolor: grid, linecolor: quiet, angle: 90, tickangle: 90, tickfont: { size: 10 } },
@@ -34,7 +34,7 @@ export async function drawSlices(box, curves, { polar, scaling, thetas, about })
   }
 }
 
-const line = (x, color, dash) => ({ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color, dash, width: 1.2 }, layer: "below" });
+const line = (x, color, dash) => ({ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color, dash, width: 1.2 }, layer: "between" });
 
 const ray = (theta, scaled, line, name) => ({
   type: "scatterpolar", mode: "lines", theta: [theta, theta], r: [scaled.from, scaled.to], line, name, showlegend: false, hoverinfo: "name",

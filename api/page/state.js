@@ -2,7 +2,7 @@
 
 const DEFAULTS = {
   panel: "table", table: "", before: "", theta_i: "45", phi_i: "0", channel: "all", scale: "cbrt", slices: "polar",
-  outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "0", residuals: "", detail: "",
+  outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "", residuals: "", detail: "",
   shape: "sphere", light: "sun", picture: "", pictured: "",
 };
 const listeners = [];

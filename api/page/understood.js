@@ -23,8 +23,9 @@ export async function understood(id, before) {
   fill(checks, "Checking: noise, reciprocity, energy, conventions …", () => checked(id));
   return [
     el("h2", {}, table.name),
-    el("div", { class: "two" }, card("What was understood", understanding(table)), card("The picture that proves it", made, peaks(table, old))),
-    el("div", { class: "two" }, card("Quality check", checks), card("Correct the reading", correcting(table))),
+    el("div", { class: "two" },
+      el("div", {}, card("What was understood", understanding(table)), card("Correct the reading", correcting(table))),
+      el("div", {}, card("The picture that proves it", made, peaks(table, old)), card("Quality check", checks))),
   ];
 }
 
@@ -81,7 +82,7 @@ async function pictured(box, id, before) {
       type: "scatter", mode: "lines+markers", x: cut.theta_o_deg, y: level(cut).map(scaled.at), name, line: { color: colour, width: 1.4 }, marker: { symbol: MARKS[k], size: 5 },
       hovertext: cut.theta_o_deg.map((x, n) => `${name}<br>θ_o = ${degrees(x)}<br>${number(level(cut)[n])} 1/sr`), hoverinfo: "text",
     });
-    for (const [x, dash] of [[cut.theta_i_deg, "dash"], [-cut.theta_i_deg, "solid"]]) shapes.push({ type: "line", yref: "paper", y0: 0, y1: 1, x0: x, x1: x, layer: "below", line: { color: colour, width: 1, dash } });
+    for (const [x, dash] of [[cut.theta_i_deg, "dash"], [-cut.theta_i_deg, "solid"]]) shapes.push({ type: "line", yref: "paper", y0: 0, y1: 1, x0: x, x1: x, layer: "between", line: { color: colour, width: 1, dash } });
   });
   box.replaceChildren();
   const { quiet } = inks();
