@@ -8,8 +8,8 @@ export async function commands(now, table, fit) {
   const here = document.baseURI.replace(/[?#].*$/, "").replace(/\/$/, "");
   const call = `brdf-fitter --server ${quoted(here)}`;
   const lines = [`${call} info ${table.id}`, `${call} check ${table.id}`];
-  if (now.job) {
-    const job = await get(`/v1/jobs/${now.job}`);
+  const job = now.job || fit?.job ? await get(`/v1/jobs/${now.job || fit.job}`) : null;
+  if (job) {
     lines.push(`${call} fit ${table.id}${fitting(job)} --out fits`);
   }
   if (fit) {

@@ -52,7 +52,7 @@ function build(root, now) {
   const notes = { lobe: el("p", { class: "quiet" }), slice: el("p", { class: "quiet" }), covered: el("p", { class: "quiet" }) };
   root.replaceChildren(el("h2", {}, "Look at the data"), controls, measured, el("div", { class: "two" },
     card("3-D lobe", lobe.figure, turning(lobe.box), notes.lobe), card("In-plane slice", slice.figure, notes.slice),
-    card("Half and difference angle", image.figure), card("Coverage", covered.figure, notes.covered)));
+    card("Half and difference angle", image.figure, el("p", { class: "quiet" }, "Grey: nothing usable was measured.")), card("Coverage", covered.figure, notes.covered)));
   return { root: controls, theta, theta_exact, phi, phiField, channel, scaling, slices, overlay, outside, measured, lobe, slice, image, covered, notes };
 }
 
@@ -133,6 +133,6 @@ function whole(now) {
   fill(covered.box, "", async () => {
     const found = await get(`/v1/tables/${now.table}/coverage`, { panel: "look" });
     const masked = await drawCoverage(covered.box, found);
-    notes.covered.textContent = `${number(found.looked_at)} usable samples counted of ${number(found.samples)} in all.${masked ? " Orange: masked samples only." : ""}`;
+    notes.covered.textContent = `${number(found.looked_at)} usable samples counted of ${number(found.samples)} in all; grey: none.${masked ? " Orange: masked samples only." : ""}`;
   });
 }

@@ -1,6 +1,6 @@
 // Images: the whole table over half and difference angle, and which polar angles were measured.
 
-import { SEQUENTIAL, bar, chosen, draw, rgb, share } from "./plots.js";
+import { SEQUENTIAL, bar, chosen, draw, inks, rgb, share } from "./plots.js";
 import { scale } from "./scales.js";
 
 /** Half angles that have a tick; the axis is even in their square roots, as the lobe is narrow. */
@@ -15,6 +15,7 @@ export async function drawHalfDifference(box, found, { choice, scaling }) {
   const axes = {
     xaxis: { title: { text: "half angle θ_h / ° (even in its root)" }, range: [0, Math.sqrt(90)], tickvals: HALF.map(Math.sqrt), ticktext: HALF.map(String), showgrid: false },
     yaxis: { title: { text: "difference angle θ_d / °" }, range: [0, 90], tickvals: [0, 15, 30, 45, 60, 75, 90], showgrid: false, scaleanchor: false },
+    plot_bgcolor: inks().blank,
   };
   const text = level.map((row, d) => row.map((v, h) => `θ_h = ${found.theta_h_deg[h].toFixed(2)}°, θ_d = ${found.theta_d_deg[d].toFixed(1)}°<br>${v === null ? "not measured" : `${v.toPrecision(4)} 1/sr, ${found.samples[d][h]} samples`}`));
   const about = `Mean f_r over half and difference angle, ${found.looked_at} samples, from ${scaled.low.toPrecision(3)} to ${scaled.high.toPrecision(3)} per steradian.`;
@@ -43,14 +44,14 @@ export async function drawCoverage(box, found) {
   const text = found.usable.map((row, i) => row.map((n, o) => `θ_i ${span(found.theta_i_deg, i)}, θ_o ${span(found.theta_o_deg, o)}<br>${n} usable, ${found.masked[i][o]} masked`));
   const scaled = scale(log ? "log" : "linear", flat.filter((n) => n > 0));
   const common = { type: "heatmap", x: found.theta_o_deg, y: found.theta_i_deg, hovertext: text, hoverinfo: "text", hoverongaps: false };
-  const traces = [{ ...common, z: shown, colorscale: "Cividis", zmin: log ? 0 : 0, zmax: log ? Math.log10(most) : most, colorbar: bar({ ...scaled }, "usable samples") }];
+  const traces = [{ ...common, z: shown, colorscale: "Cividis", zmin: 0, zmax: log ? Math.log10(most) : most, colorbar: bar(scaled, "usable samples") }];
   const masked = onlyMasked.flat().filter(Boolean).length;
   if (masked) traces.push({ ...common, z: onlyMasked, colorscale: [[0, "#d55e00"], [1, "#d55e00"]], showscale: false });
-  const part = found.looked_at < found.usable.flat().reduce((a, b) => a + b, 0) ? "" : `${found.looked_at} usable samples counted`;
   await draw(box, traces, {
     xaxis: { title: { text: "scattering θ_o / °" }, range: [0, 90], tickvals: [0, 15, 30, 45, 60, 75, 90], showgrid: false },
     yaxis: { title: { text: "incidence θ_i / °" }, range: [0, 90], tickvals: [0, 15, 30, 45, 60, 75, 90], showgrid: false },
-  }, `Usable samples by incidence and scattering angle: ${part}; ${masked} cells hold masked samples only.`);
+    plot_bgcolor: inks().blank,
+  }, `Usable samples by incidence and scattering angle, ${found.looked_at} counted; ${masked} cells hold masked samples only.`);
   return masked;
 }
 

@@ -33,7 +33,7 @@ function plotly() {
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** The colours of text, grid and paper as they are now, light or dark. */
-export const inks = () => ({ ink: css("--ink"), quiet: css("--quiet"), grid: css("--grid"), paper: css("--paper") });
+export const inks = () => ({ ink: css("--ink"), quiet: css("--quiet"), grid: css("--grid"), blank: css("--blank") });
 
 const axis = ({ ink, grid }) => ({
   gridcolor: grid, zerolinecolor: grid, linecolor: ink, tickcolor: ink, ticks: "outside", ticklen: 4, automargin: true,

@@ -13,9 +13,9 @@ export const OPTIONS = {
       ["center", "MERL: values at the centres of cells"], ["corner", "MERL: values at the corners of cells"],
     ],
   },
-  negatives: { label: "Negative values", asIs: "masked", values: [["mask", "masked"], ["keep", "used"]] },
-  duplicates: { label: "Repeated geometries", asIs: "masked", values: [["mask", "masked"], ["keep", "used"]] },
-  fills: { label: "Fill values", asIs: "masked", values: [["mask", "masked"], ["keep", "used"], ["floors", "masked, repeated lowest values too"]] },
+  negatives: { label: "Negative values", asIs: "by default, masked", values: [["mask", "masked"], ["keep", "used"]] },
+  duplicates: { label: "Repeated geometries", asIs: "by default, masked", values: [["mask", "masked"], ["keep", "used"]] },
+  fills: { label: "Fill values", asIs: "by default, masked", values: [["mask", "masked"], ["keep", "used"], ["floors", "masked, repeated lowest values too"]] },
 };
 
 export const inWords = (name, value) => OPTIONS[name].values.find(([given]) => given === value)?.[1] || value;

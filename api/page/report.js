@@ -2,7 +2,7 @@
 
 import { el, fill, field, number, select } from "./dom.js";
 import { get } from "./http.js";
-import { DIVERGING, colourOf, draw, figure, scaledAxis } from "./plots.js";
+import { DIVERGING, colourOf, draw, figure, inks, scaledAxis } from "./plots.js";
 import { SCALES, scale } from "./scales.js";
 import { set } from "./state.js";
 
@@ -92,7 +92,7 @@ export function residualMaps(box, fits, now) {
     });
     return [
       el("div", { class: "controls" }, field("Over", select(pairs, wanted, (value) => set({ residuals: value }))), field("Channel", select(first.shown, channel, (value) => set({ channel: value })))),
-      el("div", { class: "many" }, drawn), el("p", { class: "quiet" }, `Medians of ${first.definition}. Orange: measured more than fitted; blue: less; beyond ± ${100 * MOST} % drawn like it.`),
+      el("div", { class: "many" }, drawn), el("p", { class: "quiet" }, `Medians of ${first.definition}. Orange: measured more than fitted; blue: less; beyond ± ${100 * MOST} % drawn like it. Grey: no sample.`),
     ];
   });
 }
@@ -106,7 +106,7 @@ async function drawMap(plot, map, channel, model) {
     hovertemplate: "%{z:.1%}<extra></extra>",
   }], {
     xaxis: { title: { text: NAMES[map.x] }, showgrid: false, ...(back && { tickvals: back.map(Math.sqrt), ticktext: back.map(String) }) }, yaxis: { title: { text: NAMES[map.y] }, showgrid: false },
-    margin: { l: 50, r: 8, t: 4, b: 44 },
+    margin: { l: 50, r: 8, t: 4, b: 44 }, plot_bgcolor: inks().blank,
   }, `Median relative residuals of ${model}, channel ${channel}, over ${NAMES[map.x]} and ${NAMES[map.y]}.`);
 }
 

@@ -6,6 +6,7 @@ const DEFAULTS = {
   shape: "sphere", light: "sun", picture: "", pictured: "",
 };
 const listeners = [];
+let left = "look";
 
 /** Everything, as strings; what the address does not say has its default. */
 export function state() {
@@ -14,12 +15,17 @@ export function state() {
 
 /** Change some of it. A step (another panel, another table) can be gone back from; a slider's can't. */
 export function set(changes, step = false) {
-  const now = { ...state(), ...changes };
+  const old = state();
+  if (changes.panel && old.panel !== changes.panel) left = old.panel;
+  const now = { ...old, ...changes };
   const address = addressOf(now);
   if (address === location.pathname + location.search) return;
   history[step ? "pushState" : "replaceState"](null, "", address);
   tell();
 }
+
+/** The panel that was left last. */
+export const leftPanel = () => left;
 
 /** The link to a state with these changes. */
 export function link(changes) {

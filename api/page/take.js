@@ -4,7 +4,7 @@ import { button, card, el, field, fill, problem, say, select } from "./dom.js";
 import { commands } from "./commands.js";
 import { curl, download, get, key, local, recorded } from "./http.js";
 import { fitsOf } from "./fits.js";
-import { set } from "./state.js";
+import { leftPanel, link, set } from "./state.js";
 
 const PANELS = [["table", "Measurement"], ["look", "Look"], ["fit", "Fit"], ["see", "See"]];
 
@@ -26,11 +26,11 @@ export function show(root, now) {
 
 async function everything(now) {
   const [table, fits, targets] = await Promise.all([get(`/v1/tables/${now.table}`), fitsOf(now.table), get("/v1/export-targets")]);
-  const fit = fits.find((one) => one.id === now.fit) || fits.find((one) => one.job === now.job) || fits[0];
+  const fit = fits.find((one) => one.id === now.fit) || fits.findLast((one) => one.job === now.job) || fits[0];
   const command = await commands(now, table, fit);
   return [
     el("div", { class: "two" }, card("Report", reports(fits, fit, now)), card("Export", exporting(targets, table, fit, now))),
-    card("This view", el("p", {}, "A link reopens what is on the screen, for who may read it:"), copied(new URL(location.href).href.replace(/panel=take/, "panel=look"), "link")),
+    card("This view", el("p", {}, "A link reopens what is on the screen, for who may read it:"), copied(new URL(link({ panel: leftPanel() }), location.href).href, "link")),
     card("The same from a terminal", command.length ? copied(command.join("\n"), "commands") : el("p", { class: "quiet" }, "Nothing yet."), el("p", { class: "quiet" }, "A key, where one is needed, is taken from BRDF_FITTER_KEY.")),
     ...calls(),
   ];

@@ -77,5 +77,5 @@ def _nodes(low: float, high: float, step: float, specular: float) -> FloatArray:
     near = np.array(NEAR_DEG)
     every = np.concatenate([even, specular - near, [specular], specular + near])
     # Rounded first: two nodes that differ by rounding are one.
-    rounded: FloatArray = np.round(every[(every >= low) & (every <= high)], 6)
-    return np.unique(rounded)
+    inside = every[(every >= low) & (every <= high)]
+    return np.unique(np.rint(inside * 1e6) / 1e6)
