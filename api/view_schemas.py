@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from api.schemas import TableEvaluationDocument
 
@@ -70,3 +70,27 @@ class CoverageDocument(ViewDocument):
     masked: list[list[int]] = Field(description="by theta_i and theta_o")
     looked_at: int = Field(description="usable samples that were counted")
     samples: int = Field(description="of the table, usable or not")
+
+
+class ResidualsDocument(BaseModel):
+    """The residuals of a fit, as in its report."""
+
+    model_config = ConfigDict(extra="allow")
+
+    definition: str
+    samples: int
+    per_channel: list[dict[str, Any]]
+    shown: list[str] = Field(description="channels that are drawn")
+    map: dict[str, Any]
+    further_maps: list[dict[str, Any]]
+
+
+class FitSlicesDocument(BaseModel):
+    """In-plane samples and the fitted curve, as in a fit's report."""
+
+    plane_tolerance_deg: float
+    azimuth_deg: float | None
+    channels: list[str]
+    level: float | None
+    predictive_level: float | None
+    slices: list[dict[str, Any]]

@@ -81,12 +81,20 @@ export async function fill(box, waiting, work) {
   if (waiting) box.replaceChildren(el("p", { class: "quiet waiting" }, waiting));
   try {
     const made = await work();
-    if (box.turn === turn && made) box.replaceChildren(...[made].flat());
+    if (box.turn === turn && made) replaced(box, [made].flat());
   } catch (error) {
     if (error.name !== "AbortError" && box.turn === turn) box.replaceChildren(problem(error));
   } finally {
     if (box.turn === turn) box.removeAttribute("aria-busy");
   }
+}
+
+/** Put other content into a box; the control that had the focus, or its successor, has it again. */
+function replaced(box, content) {
+  const controls = () => [...box.querySelectorAll("select, input, button")];
+  const at = controls().indexOf(document.activeElement);
+  box.replaceChildren(...content);
+  if (at >= 0) controls()[at]?.focus();
 }
 
 /** Tell who listens to the page. */

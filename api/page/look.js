@@ -109,7 +109,7 @@ async function incidence(now) {
     if (now.overlay) curves.push(...await model(now, found, options));
     await drawSlices(slice.box, curves, {
       polar: now.slices === "polar", scaling: now.scale, thetas: [Number(now.theta_i)],
-      about: `In-plane slice at an incidence of ${now.theta_i}°, ${curves.map((curve) => curve.name).join(", ")}.`,
+      about: `In-plane slice at an incidence of ${now.theta_i}°, ${SCALES.find(([name]) => name === now.scale)?.[1]} scale: ${curves.map((curve) => curve.name).join(", ")}.`,
     });
     notes.slice.textContent = `Dotted: nothing was measured there. Orange: the light; dashed: the mirror direction.${found.channels.length > 7 ? " Of many channels the first seven are shown." : ""}`;
   });

@@ -66,11 +66,11 @@ export async function draw(box, traces, layout, about) {
   if (whole.polar) whole.polar = { bgcolor: "rgba(0,0,0,0)", ...whole.polar };
   // What was said while nothing was drawn yet.
   for (const said of box.querySelectorAll(":scope > p, :scope > .problem")) said.remove();
-  box.setAttribute("role", "img");
-  box.setAttribute("aria-label", about);
   box.again = () => draw(box, traces, layout, about);
   drawn.add(box);
   await Plotly.react(box, traces, whole, { responsive: true, displayModeBar: false, displaylogo: false });
+  box.setAttribute("role", "img");
+  box.setAttribute("aria-label", about);
   box.dataset.drawn = String(Number(box.dataset.drawn || 0) + 1);
 }
 

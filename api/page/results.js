@@ -63,26 +63,31 @@ function estimate(parameter, c) {
   return `${number(value, 4)}${u === null || u === undefined ? "" : ` ± ${number(u, 2)}`}${bound ? ` (at its ${bound} bound)` : ""}`;
 }
 
+/** The fit that was chosen, or the one with the smallest relative error. */
+function inFocus(fits, now) {
+  const off = (fit) => fit.metrics.relative_rmse ?? Infinity;
+  return fits.find((one) => one.id === now.fit) || [...fits].sort((a, b) => off(a) - off(b))[0];
+}
+
 function choice(fits, now) {
   const radios = fits.map((fit) => el("label", { class: "chip" }, el("input", {
-    type: "radio", name: "focus", value: fit.id, checked: fit.id === (now.fit || fits[0].id), onchange: () => set({ fit: fit.id, posterior: "" }),
+    type: "radio", name: "focus", value: fit.id, checked: fit === inFocus(fits, now), onchange: () => set({ fit: fit.id, posterior: "" }),
   }), ` ${fit.model.name}`));
   return el("fieldset", { class: "row" }, el("legend", {}, "In focus"), radios);
 }
 
 function focus(box, job, now) {
-  const fit = box.fits.find((one) => one.id === now.fit) || box.fits[0];
+  const fit = inFocus(box.fits, now);
   if (!fit) return;
   for (const radio of box.querySelectorAll("input[name=focus]")) radio.checked = radio.value === fit.id;
   if (box.focused !== fit.id) {
     box.focused = fit.id;
     const maps = el("div", {}), slices = el("div", {}), doubt = el("div", {});
     box.places.focus.replaceChildren(
-      card(`Slices of data, ${fit.model.name} and its 95 % band`, slices), card("Residual maps, side by side", maps), card(`Posterior of ${fit.model.name}`, doubt));
+      card(`Slices of data and fits, with the 95 % band of ${fit.model.name}`, slices), card("Residual maps, side by side", maps), card(`Posterior of ${fit.model.name}`, doubt));
     box.parts = { maps, slices, doubt };
-    box.maps = null;
   }
-  bands(box.parts.slices, fit, now);
+  bands(box.parts.slices, box.fits, fit, now);
   residualMaps(box.parts.maps, box.fits, now);
   corner(box.parts.doubt, fit, now);
   if (!box.places.front.firstChild) box.places.front.replaceChildren(card("Accuracy against time", el("div", {})));

@@ -82,11 +82,11 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     for figure in page.locator("#panel-look .plot").all():
         drawn(figure)
     slices = page.locator("#panel-look .plot").nth(1)
-    expect(slices).to_have_attribute("aria-label", re.compile("of 45°, R, G, B"))
+    expect(slices).to_have_attribute("aria-label", re.compile("of 45°, cube root scale: R, G, B"))
     look = page.locator("#panel-look")
     look.get_by_label("Channel", exact=True).select_option("G")
     look.get_by_label("Scale of f_r").select_option("log")
-    expect(slices).to_have_attribute("aria-label", re.compile("of 45°, G[.]"))
+    expect(slices).to_have_attribute("aria-label", re.compile("of 45°, logarithmic scale: G[.]"))
     plotted = page.evaluate("document.querySelectorAll('#panel-look .plot')[1].data[0].r")
     measured = fitter.load(datasets.sample("glossy_paint"))
     highest = max(value for value in plotted if value is not None)
@@ -112,12 +112,14 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     for model in MODELS:
         expect(results.get_by_role("columnheader", name=model)).to_be_visible()
     expect(results.get_by_role("row", name=re.compile("^alpha"))).to_contain_text("±")
-    page.get_by_role("radio", name="torrance_sparrow").check()
-    for figure in page.locator("#panel-fit .plot").all():
+    best = page.locator("input[name=focus]:checked").locator("xpath=..").inner_text().strip()
+    fits = page.locator("#panel-fit .plot")
+    expect(fits).to_have_count(1 + len(MODELS), timeout=120_000)
+    for figure in fits.all():
         drawn(figure)
-    expect(page.locator("#panel-fit .plot")).to_have_count(1 + len(MODELS), timeout=120_000)
-    names = page.evaluate("document.querySelector('#panel-fit .plot').data.map((trace) => trace.name)")
-    assert {"95 % of new measurements", "measured", "torrance_sparrow"} <= set(names)
+    expect(fits.first).to_have_attribute("aria-label", re.compile(f"95 % band of {best}"), timeout=300_000)
+    names = fits.first.evaluate("(plot) => plot.data.map((trace) => trace.name)")
+    assert set(names) == {"95 % of new measurements", "measured", *MODELS}
     page.locator("#panel-fit").get_by_label("Budget / s", exact=True).fill("4")
     page.get_by_label("Effective sample size").fill("50")
     page.get_by_role("button", name="Sample the posterior").click()
@@ -143,7 +145,7 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     open_panel(page, "Take away")
     with page.expect_popup() as report:
         page.get_by_role("link", name="Open the report").click()
-    expect(report.value.get_by_role("heading", level=1)).to_contain_text("torrance_sparrow")
+    expect(report.value.get_by_role("heading", level=1)).to_contain_text(best)
     report.value.close()
     with page.expect_download() as exported:
         page.get_by_role("button", name="Export").click()
@@ -162,7 +164,7 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     link = page.url
     again = watch(address)
     again.page.goto(link)
-    expect(again.page.get_by_role("radio", name="torrance_sparrow")).to_be_checked(timeout=120_000)
+    expect(again.page.get_by_role("radio", name=best)).to_be_checked(timeout=120_000)
     drawn(again.page.locator("#panel-fit .plot.square"))
     again.check()
     watched.check()
