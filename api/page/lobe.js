@@ -16,7 +16,7 @@ export async function drawLobe(box, found, { choice, scaling, outside }) {
   const traces = [colour ? coloured(found, level, scaled, colour) : shaded(found, level, scaled)];
   traces.push(...surroundings(found.theta_i_deg));
   const flat = { visible: false, range: [-1.05, 1.05] };
-  box.camera ||= { eye: { ...CAMERA }, center: { x: 0, y: 0, z: -0.3 } };
+  box.camera ||= { eye: { ...CAMERA }, center: { x: 0, y: 0, z: -0.36 } };
   const measured = level.flat().filter((v) => v !== null).length;
   const about = `Lobe of scattered light at an incidence of ${found.theta_i_deg}°: the radius is ${scaling} in f_r, up to ${scaled.high.toPrecision(3)} per steradian; ${measured} of ${level.flat().length} directions are within what was measured.`;
   await draw(box, traces, {

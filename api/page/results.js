@@ -79,6 +79,8 @@ function choice(fits, now) {
 function focus(box, job, now) {
   const fit = inFocus(box.fits, now);
   if (!fit) return;
+  // The other panels and the link mean this one, too.
+  if (!now.fit) set({ fit: fit.id });
   for (const radio of box.querySelectorAll("input[name=focus]")) radio.checked = radio.value === fit.id;
   if (box.focused !== fit.id) {
     box.focused = fit.id;
