@@ -48,7 +48,7 @@ export function facts(pairs) {
 
 /** A table in a box that scrolls. `rows` of cells; the first of each is its header. */
 export function grid(caption, head, rows) {
-  const cells = (row) => row.map((cell, k) => (k ? el("td", {}, cell) : el("th", { scope: "row" }, cell)));
+  const cells = (row) => row.map((cell, k) => (k ? el("td", { class: String(cell).length > 40 ? "words" : null }, cell) : el("th", { scope: "row" }, cell)));
   return el("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": caption },
     el("table", {}, el("caption", {}, caption),
       el("thead", {}, el("tr", {}, head.map((cell) => el("th", { scope: "col" }, cell)))),
@@ -106,10 +106,9 @@ export function say(text) {
 export function number(value, digits = 4) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (Number.isInteger(value) && Math.abs(value) < 1e15) return value.toLocaleString("en");
-  const text = Number(value).toPrecision(digits);
-  if (!text.includes("e")) return text.includes(".") ? text.replace(/\.?0+$/, "") : text;
-  const [mantissa, power] = text.split("e");
-  return `${mantissa.replace(/\.?0+$/, "")}e${Number(power)}`;
+  const rounded = Number(Number(value).toPrecision(digits));
+  const size = Math.abs(rounded);
+  return size >= 1e-5 && size < 1e7 ? rounded.toLocaleString("en", { maximumSignificantDigits: digits }) : rounded.toExponential().replace("e+", "e");
 }
 
 export const degrees = (value) => `${number(value, 4)}°`;

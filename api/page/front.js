@@ -3,8 +3,9 @@
 import { el, field, fill, number, seconds } from "./dom.js";
 import { start } from "./events.js";
 import { get } from "./http.js";
-import { COLOURS, MARKS, draw, figure } from "./plots.js";
+import { COLOURS, MARKS, draw, figure, scaledAxis } from "./plots.js";
 import { watchJob } from "./progress.js";
+import { scale } from "./scales.js";
 import { set } from "./state.js";
 
 export function front(box, job, fits, fit, now) {
@@ -52,18 +53,22 @@ function isOf({ model, settings }, { spec, model: { name } }) {
 
 async function drawn(plot, points, fit) {
   const models = [...new Set(points.map((point) => point.model))];
+  const off = (point) => 100 * point.errors.held_out;
+  const wide = (values) => scale("log", values.flatMap((v) => [v / 1.5, v * 1.5]));
+  const across = wide(points.map((point) => point.seconds.median)), up = wide(points.map(off));
+  const placed = (some) => ({ x: some.map((point) => across.at(point.seconds.median)), y: some.map((point) => up.at(off(point))) });
   const traces = models.map((model, k) => {
     const own = points.filter((point) => point.model === model);
     return {
-      type: "scatter", mode: "markers", name: model, x: own.map((point) => point.seconds.median), y: own.map((point) => 100 * point.errors.held_out), marker: { color: COLOURS[k % 7], symbol: MARKS[k % 7], size: 9 },
+      type: "scatter", mode: "markers", name: model, ...placed(own), marker: { color: COLOURS[k % 7], symbol: MARKS[k % 7], size: 9 },
       hovertext: own.map((point) => `${point.label}<br>${seconds(point.seconds.median)}, ${number(100 * point.errors.held_out, 3)} %`), hoverinfo: "text",
     };
   });
   const best = points.filter((point) => point.front.includes("held_out/seconds")).sort((a, b) => a.seconds.median - b.seconds.median);
-  traces.unshift({ type: "scatter", mode: "lines", name: "front", x: best.map((point) => point.seconds.median), y: best.map((point) => 100 * point.errors.held_out), line: { color: "#888888", shape: "hv", dash: "dot" }, hoverinfo: "skip" });
+  traces.unshift({ type: "scatter", mode: "lines", name: "front", ...placed(best), line: { color: "#888888", shape: "hv", dash: "dot" }, hoverinfo: "skip" });
   const chosen = points.filter((point) => isOf(point, fit));
-  if (chosen.length) traces.push({ type: "scatter", mode: "markers", name: "in focus", x: chosen.map((point) => point.seconds.median), y: chosen.map((point) => 100 * point.errors.held_out), marker: { symbol: "circle-open", size: 20, color: COLOURS[1], line: { width: 2.5 } }, hoverinfo: "skip" });
+  if (chosen.length) traces.push({ type: "scatter", mode: "markers", name: "in focus", ...placed(chosen), marker: { symbol: "circle-open", size: 20, color: COLOURS[1], line: { width: 2.5 } }, hoverinfo: "skip" });
   await draw(plot, traces, {
-    xaxis: { type: "log", title: { text: "time of a fit, compiled / s" } }, yaxis: { type: "log", title: { text: "relative error held out / %" } }, showlegend: true,
+    xaxis: scaledAxis(across, "time of a fit, compiled / s"), yaxis: scaledAxis(up, "relative error held out / %"), showlegend: true,
   }, `Error on samples held out against the time of a fit, ${points.length} points of ${models.join(", ")}.`);
 }

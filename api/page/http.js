@@ -93,11 +93,12 @@ export async function download(path, name, options) {
   return answer;
 }
 
-/** Remember a call that made what a panel shows; of the same path only the last one counts. */
+/** Remember a call that made what a panel shows; of the same question only the last answer counts. */
 export function record(panel, call) {
   if (!records.has(panel)) records.set(panel, new Map());
   const calls = records.get(panel);
-  const name = `${call.method} ${call.path.split("?")[0]}`;
+  const [path] = call.path.split("?");
+  const name = `${call.method} ${path}${call.json && !path.endsWith("/evaluate") ? JSON.stringify(call.json) : ""}`;
   calls.delete(name);
   calls.set(name, call);
 }

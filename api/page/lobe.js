@@ -23,7 +23,7 @@ export async function drawLobe(box, found, { choice, scaling, outside }) {
     scene: { xaxis: flat, yaxis: flat, zaxis: { visible: false, range: [-0.02, 1.05] }, aspectmode: "manual", aspectratio: { x: 2, y: 2, z: 1 }, camera: box.camera, dragmode: "turntable" },
     margin: { l: 0, r: 0, t: 0, b: 0 },
   }, about);
-  box.on("plotly_relayout", (change) => {
+  box.turned ??= box.on("plotly_relayout", (change) => {
     if (change["scene.camera"]) box.camera = change["scene.camera"];
   });
   return { scaled, empty: measured === 0 };

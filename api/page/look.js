@@ -5,7 +5,7 @@ import { forget, get, post } from "./http.js";
 import { drawLobe, turning } from "./lobe.js";
 import { drawCoverage, drawHalfDifference } from "./maps.js";
 import { COLOURS, figure } from "./plots.js";
-import { SCALES } from "./scales.js";
+import { SCALES, inWords } from "./scales.js";
 import { byChannel, drawSlices } from "./slices.js";
 import { set } from "./state.js";
 import { fitsOf } from "./fits.js";
@@ -48,7 +48,7 @@ function build(root, now) {
   const controls = el("form", { class: "controls", onsubmit: (event) => event.preventDefault() },
     field("Incidence θ_i", theta), field("θ_i / °", theta_exact), phiField, field("Channel", channel), field("Scale of f_r", scaling), field("Slices", slices), field("Beside it", overlay),
     el("div", { class: "field check" }, el("label", {}, outside, " also what was not measured")));
-  const lobe = figure("Lobe: radius and colour are f_r"), slice = figure("Slice through the plane of incidence"), image = figure("Whole table: mean over φ_d"), covered = figure("Angles covered");
+  const lobe = figure("Radius and colour: f_r / (1/sr)"), slice = figure("f_r in the plane of incidence"), image = figure("Whole table: mean over φ_d"), covered = figure("Angles covered");
   const notes = { lobe: el("p", { class: "quiet" }), slice: el("p", { class: "quiet" }), covered: el("p", { class: "quiet" }) };
   root.replaceChildren(el("h2", {}, "Look at the data"), controls, measured, el("div", { class: "two" },
     card("3-D lobe", lobe.figure, turning(lobe.box), notes.lobe), card("In-plane slice", slice.figure, notes.slice),
@@ -100,7 +100,8 @@ async function incidence(now) {
       return;
     }
     const found = await get(`/v1/tables/${now.table}/lobe?${at}`, options);
-    const { empty } = await drawLobe(lobe.box, found, { choice: now.channel, scaling: now.scale, outside: now.outside === "1" });
+    const { empty, scaled } = await drawLobe(lobe.box, found, { choice: now.channel, scaling: now.scale, outside: now.outside === "1" });
+    lobe.head.textContent = `Radius and colour: f_r / (1/sr), ${inWords(now.scale)}, up to ${number(scaled.high, 3)}`;
     notes.lobe.textContent = empty ? "Nothing was measured at this incidence: take one within the domain, or show what was not measured, too." : "Drag to turn, or use the buttons. Orange: the light; dashed: the mirror direction.";
   });
   fill(slice.box, "", async () => {
@@ -109,8 +110,9 @@ async function incidence(now) {
     if (now.overlay) curves.push(...await model(now, found, options));
     await drawSlices(slice.box, curves, {
       polar: now.slices === "polar", scaling: now.scale, thetas: [Number(now.theta_i)],
-      about: `In-plane slice at an incidence of ${now.theta_i}°, ${SCALES.find(([name]) => name === now.scale)?.[1]} scale: ${curves.map((curve) => curve.name).join(", ")}.`,
+      about: `In-plane slice at an incidence of ${now.theta_i}°, ${inWords(now.scale)} scale: ${curves.map((curve) => curve.name).join(", ")}.`,
     });
+    slice.head.textContent = now.slices === "polar" ? `Radius: f_r / (1/sr), ${inWords(now.scale)}; angle: θ_o, the specular side on the right` : `f_r, ${inWords(now.scale)}`;
     notes.slice.textContent = `Dotted: nothing was measured there. Orange: the light; dashed: the mirror direction.${found.channels.length > 7 ? " Of many channels the first seven are shown." : ""}`;
   });
 }

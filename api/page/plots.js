@@ -58,14 +58,20 @@ export async function draw(box, traces, layout, about) {
   const whole = {
     font: { family: "system-ui, sans-serif", size: 12, color: colours.ink }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     margin: { l: 56, r: 16, t: 8, b: 48 }, showlegend: false, hoverlabel: { font: { family: "system-ui, sans-serif" } },
-    legend: { orientation: "h", y: -0.22, x: 0, font: { size: 11 } }, dragmode: "zoom", colorway: COLOURS, ...layout,
+    legend: { orientation: "h", y: 1.01, yanchor: "bottom", x: 0, font: { size: 11 } }, dragmode: "zoom", colorway: COLOURS, ...layout,
   };
+  if (box.clientWidth < 450) Object.assign(whole.legend, { entrywidthmode: "fraction", entrywidth: 0.5 });
   for (const name of Object.keys(whole)) {
     if (/^[xy]axis\d*$/.test(name)) whole[name] = { ...axis(colours), ...whole[name], title: { standoff: 8, ...whole[name].title } };
   }
   if (whole.polar) whole.polar = { bgcolor: "rgba(0,0,0,0)", ...whole.polar };
   // What was said while nothing was drawn yet.
   for (const said of box.querySelectorAll(":scope > p, :scope > .problem")) said.remove();
+  for (const other of drawn) {
+    if (other.isConnected) continue;
+    Plotly.purge(other);  // a browser has a few WebGL contexts only
+    drawn.delete(other);
+  }
   box.again = () => draw(box, traces, layout, about);
   drawn.add(box);
   await Plotly.react(box, traces, whole, { responsive: true, displayModeBar: false, displaylogo: false });
@@ -78,10 +84,7 @@ export async function draw(box, traces, layout, about) {
 export const relayout = async (box, changes) => (await plotly()).relayout(box, changes);
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-  for (const box of drawn) {
-    if (box.isConnected) box.again();
-    else drawn.delete(box);
-  }
+  for (const box of drawn) if (box.isConnected) box.again();
 });
 
 /** A colour bar with a scale's ticks. */

@@ -2,6 +2,9 @@
 
 export const SCALES = [["linear", "linear"], ["log", "logarithmic"], ["cbrt", "cube root"]];
 
+/** A scale in words. */
+export const inWords = (name) => SCALES.find(([one]) => one === name)?.[1] || name;
+
 const PLACE = { linear: (v) => v, cbrt: Math.cbrt, log: Math.log10 };
 
 /** Decades that a logarithmic scale goes below the largest value. */
@@ -16,8 +19,11 @@ export function scale(name, values) {
     if (v > high) high = v;
   }
   if (low > high) [low, high] = name === "log" ? [0.1, 1] : [0, 1];
-  if (name === "log") low = Math.max(low, high / 10 ** DECADES);
-  else low = Math.min(low, 0);
+  if (name === "log") {
+    low = Math.max(low, high / 10 ** DECADES);
+    // Some room below, or the least of a lobe would have no radius.
+    low /= Math.max(high / low, 10) ** 0.15;
+  } else low = Math.min(low, 0);
   if (high === low) high = low + (Math.abs(low) || 1);
   const place = PLACE[name];
   const at = (v) => (v === null || v === undefined || !Number.isFinite(v) || (name === "log" && v < low) ? null : place(v));

@@ -35,7 +35,7 @@ export function show(root, now) {
 
 async function asking(now) {
   const [fits, table] = await Promise.all([fitsOf(now.table), get(`/v1/tables/${now.table}`)]);
-  const fit = select([...fits.map((one) => [one.id, `${one.model}, ${new Date(one.created).toLocaleTimeString()}`]), ["", "none: the raw table alone"]], now.fit || fits[0]?.id || "");
+  const fit = select([...fits.map((one) => [one.id, `${one.model}, ${new Date(one.created).toLocaleTimeString()}`]), ["", "none: the raw table alone"]], now.fit || fits.find((one) => one.job === now.job)?.id || fits[0]?.id || "");
   const shape = select(SHAPES, now.shape, (value) => set({ shape: value })), light = select(LIGHTS, now.light, (value) => set({ light: value }));
   const samples = select([["4", "4, a sketch"], ["16", "16"], ["64", "64"], ["256", "256, slow"]], "16");
   const tolerance = select([["0.001", "0.1 %"], ["0.01", "1 %"], ["0.1", "10 %"], ["", "nothing is left out"]], "0.01");
@@ -60,7 +60,7 @@ async function asking(now) {
       // One after the other: each takes every core there is.
       const picture = await render(boxes[0], { table: now.table }, false, "picture of the raw table");
       const pictured = fit.value ? await render(boxes[1], { fit: fit.value }, tolerance.value !== "", "picture of the fit") : "";
-      set({ picture, pictured });
+      set({ picture, pictured, fit: fit.value });
     } catch (error) {
       if (error.name !== "AbortError") outcome.replaceChildren(problem(error));
     }
@@ -79,14 +79,16 @@ async function pictures({ picture, pictured }) {
   const [fit, difference, image] = await Promise.all([
     get(`/v1/scenes/${pictured}`, { panel: "see" }), get(`/v1/scenes/${picture}/difference/${pictured}`, { panel: "see" }), bitmap(`/v1/scenes/${picture}/difference/${pictured}/picture.png`),
   ]);
+  const { request: asked } = await get(fit.links.job);
+  const model = (await get(`/v1/models/${asked.scene.materials.sample.fit}`)).name;
   const wide = (image.width - 4) / 3;
-  const names = ["the raw table", "the fit", "fit less table, fourfold around grey"];
+  const names = ["the raw table", model, `${model} less table, fourfold around grey`];
   const percent = (value) => `${number(100 * value, 3)} %`;
   return [
     card("Pictures", el("div", { class: "pictures" }, names.map((name, k) => cut(image, k * (wide + 2), wide, name))),
       grid("How far the fit is from the table, over the mean radiance F", ["channel", "rms difference", "of it noise", "without noise", "bias", "PSNR / dB"],
         difference.numbers.map((one) => [one.channel, percent(one.error), percent(one.noise), percent(one.error_without_noise), percent(one.bias), number(one.psnr_db, 3)])),
-      el("div", { class: "two" }, el("div", {}, el("h4", {}, "The raw table"), told(raw)), el("div", {}, el("h4", {}, "The fit"), told(fit)))),
+      el("div", { class: "two" }, el("div", {}, el("h4", {}, "The raw table"), told(raw)), el("div", {}, el("h4", {}, model), told(fit)))),
     card("Which effects were on, and why", plan(fit.plan)),
   ];
 }

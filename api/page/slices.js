@@ -24,7 +24,7 @@ export async function drawSlices(box, curves, { polar, scaling, thetas, about })
         },
         radialaxis: { range: [scaled.from, scaled.to + 0.03 * (scaled.to - scaled.from)], tickvals: scaled.tickvals, ticktext: scaled.ticktext, gridcolor: grid, linecolor: quiet, angle: 90, tickangle: 90, tickfont: { size: 10 } },
       },
-      showlegend: curves.length > 1, margin: { l: 36, r: 36, t: 20, b: 8 }, legend: { orientation: "h", y: 0.02, x: 0.5, xanchor: "center", yanchor: "top" },
+      showlegend: curves.length > 1, margin: { l: 36, r: 36, t: 20, b: 8 }, legend: { orientation: "h", y: 0.02, x: 0.5, xanchor: "center", yanchor: "top", font: { size: 11 } },
     }, about);
   } else {
     await draw(box, traces, {
