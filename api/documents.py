@@ -16,7 +16,10 @@ def when(seconds: float) -> str:
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
+    verbs = (
+        "info", "check", "evaluate", "samples", "slices", "cuts", "lobe", "half-difference", "coverage",
+        "readings",
+    )  # fmt: skip
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     links["export"] = f"{here}/export/{{format}}"
@@ -72,8 +75,9 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/fits/{row.id}"
     return {
         "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
-        "model": f"/v1/models/{row.id}", "report": f"{here}/report.html",
-        "report_json": f"{here}/report.json", "report_pdf": f"{here}/report.pdf",
+        "model": f"/v1/models/{row.id}", "residuals": f"{here}/residuals", "slices": f"{here}/slices",
+        "report": f"{here}/report.html", "report_json": f"{here}/report.json",
+        "report_pdf": f"{here}/report.pdf",
     }  # fmt: skip
 
 

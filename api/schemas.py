@@ -162,14 +162,6 @@ class TableEvaluationDocument(EvaluationDocument):
     extrapolated: list[bool]
 
 
-class SliceDocument(TableEvaluationDocument):
-    """In-plane slice; ``theta_o_deg`` is positive on the specular side."""
-
-    theta_i_deg: float
-    phi_i_deg: float
-    theta_o_deg: list[float]
-
-
 class PdfDocument(BaseModel):
     """Density of wo given wi per unit solid angle."""
 
@@ -329,6 +321,14 @@ class PictureDocument(BaseModel):
     notes: list[str]
     plan: dict[str, Any] | None
     links: dict[str, str]
+
+
+class DifferenceDocument(BaseModel):
+    """Two pictures, channel by channel: `error` and `noise` (root mean squares), `error_without_noise` and
+    `bias`, all over the first one's F, and `psnr_db`."""
+
+    numbers: list[dict[str, Any]]
+    reference: float = Field(description="F of the first picture, W/(m2 sr)")
 
 
 class Progress(BaseModel):

@@ -48,7 +48,7 @@ async def start_posterior(
 
     def prepare() -> tuple[str, dict[str, Any]]:
         check_posterior(wanted, here.service.settings)
-        row = _with_table(here, wanted.fit)
+        row = with_table(here, fit_row(here, wanted.fit))
         spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
         return str(row.table_id), {"fit": row.id, "spec": spec}
 
@@ -68,7 +68,7 @@ async def start_calibration(
     def prepare() -> tuple[str, dict[str, Any]]:
         spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
         check_posterior(spec.posterior, here.service.settings)
-        row = _with_table(here, wanted.fit)
+        row = with_table(here, fit_row(here, wanted.fit))
         return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
 
     return await started(here, response, prefer, "calibration", prepare)
@@ -216,9 +216,8 @@ def calibration_picture(id: str, here: Here) -> Response:
     return Response(here.drawn(CalibrationRow, id, "png"), media_type="image/png")
 
 
-def _with_table(here: Mine, id: str) -> ModelRow:
-    """The row of a fit whose table is still there. Raises Problem (404, 409)."""
-    row = fit_row(here, id)
+def with_table(here: Mine, row: ModelRow) -> ModelRow:
+    """The row of a fit whose table is still there. Raises Problem (409)."""
     if here.find(TableRow, row.table_id or "") is None:
         raise Problem(
             409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"

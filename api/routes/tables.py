@@ -27,7 +27,6 @@ from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
 from api.store import InUse, Missing
-from fitter import directions
 from fitter.documents import dumps
 from fitter.export import subject, target
 from fitter.formats.describe import describe
@@ -295,28 +294,6 @@ def export(id: str, format: str, here: Here, channels: ChosenChannels = None) ->
     row = here.get(TableRow, id)
     found = subject(here.service.tables.open(row).table, name=row.name)
     return respond_export(found, target(format).name, channels=channels)
-
-
-@router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
-def slices(
-    id: str,
-    here: Here,
-    theta_i_deg: Annotated[float, Query(ge=0, lt=90, allow_inf_nan=False)],
-    phi_i_deg: Annotated[float, Query(ge=-360, le=360, allow_inf_nan=False)] = 0.0,
-    n: Annotated[int, Query(ge=2, le=10_000, description="directions, from -89.5 to 89.5 degrees")] = 180,
-) -> Response:
-    """In-plane slice of the interpolant at one incidence; theta_o is positive on the specular side."""
-    found = here.service.tables.open(here.get(TableRow, id)).table
-    theta_o = np.linspace(-89.5, 89.5, n)
-    incident = directions.vector_from_spherical(np.deg2rad(theta_i_deg), np.deg2rad(phi_i_deg))
-    # The specular side is half a turn from the incident azimuth.
-    wo = directions.vector_from_spherical(np.deg2rad(theta_o), np.deg2rad(phi_i_deg) + np.pi)
-    values, extrapolated = found.evaluate(np.broadcast_to(incident, (n, 3)), wo)
-    document = {
-        "channels": _channels(found), "unit": "1/sr", "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg,
-        "theta_o_deg": theta_o, "values": values, "extrapolated": extrapolated,
-    }  # fmt: skip
-    return Response(dumps(document), media_type="application/json")
 
 
 def _channels(found: fitter.Table) -> list[str]:
