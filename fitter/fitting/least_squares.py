@@ -43,8 +43,8 @@ E = TypeVar("E", bound=Equations)
 
 @dataclass(frozen=True)
 class Solution(Generic[E]):
-    """The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met, and the part
-    of the Hessian beyond J^T J (P, P) as it was learned, 0 where J^T J alone foretold better."""
+    """The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met, and the
+    part of the Hessian beyond J^T J (P, P) as it was learned, 0 where J^T J alone foretold better."""
 
     p: FloatArray
     normal: E
