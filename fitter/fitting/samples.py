@@ -214,7 +214,7 @@ class Usable:
         """
         if len(self) <= size:
             return np.arange(len(self)), np.ones(len(self))
-        rows, step = self.evenly(max(ENOUGH, 8 * size))
+        rows, step = self.evenly(max(ENOUGH, 4 * size))
         chosen, scale = self.drawn(rows, np.full(len(rows), float(step)), size, seed)
         return rows[chosen], scale
 

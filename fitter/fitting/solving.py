@@ -35,11 +35,11 @@ MIDDLE, FEW = 32_768, 4
 
 def solve(
     places: Layout, request: FitSpec, data: Usable, group: Sequence[int],
-    draw: Callable[[], tuple[IntArray, FloatArray]], clock: Clock,
+    draw: Callable[[int], tuple[IntArray, FloatArray]], clock: Clock,
 ) -> Group:  # fmt: skip
     """The optimum for the channels ``group`` (positions among the selected).
 
-    draw : makes the subset that is searched, the same for all groups.
+    draw : makes a subset of that size, the same for all groups.
 
     Raises FitError where the objective is not finite.
     """
@@ -49,7 +49,7 @@ def solve(
     part = reduced = None if small or not complete else reduction.reduce(places, data, group)
     # Drawing a subset of a large table takes longer than searching its pseudo-samples.
     none = (data.index[:0], np.ones(0))
-    index, scale = draw() if reduced is None else none
+    index, scale = draw(request.subset) if reduced is None else none
     if part is None:
         part = data.part(group, index, padded(len(index)), scale)
     weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
@@ -86,7 +86,7 @@ def solve(
     else:
         passes, rest = 0, None
         if own and complete and len(data) > FEW * MIDDLE:
-            near, rest = _halfway(places, data, group, near, request.seed)
+            near, rest = _halfway(places, data, group, near, draw(MIDDLE))
         if len(near) > 1:
             rivals = [polish(places, metric, floor, p, full, 10) for p in near]
             near = [min(rivals, key=lambda end: end.normal.objective).p]
@@ -130,15 +130,16 @@ def solve(
 
 
 def _halfway(
-    places: Layout, data: Usable, group: Sequence[int], near: Sequence[FloatArray], seed: int
-) -> tuple[list[FloatArray], FloatArray | None]:
-    """The vectors p that are still near-equals on a weighted ``MIDDLE`` of the samples, and the second-order
+    places: Layout, data: Usable, group: Sequence[int], near: Sequence[FloatArray],
+    drawn: tuple[IntArray, FloatArray],
+) -> tuple[list[FloatArray], FloatArray | None]:  # fmt: skip
+    """The vectors p that are still near-equals on the ``MIDDLE`` samples ``drawn``, and the second-order
     part of the objective there where one is left.
 
     A model that fits badly takes dozens of passes. From there, with what those have learned of the curvature,
     the full table needs a few.
     """
-    index, scale = data.subset(MIDDLE, seed)
+    index, scale = drawn
     part = data.part(group, index, MIDDLE, scale)
     ends = [polish(places, data.metric, data.floor[list(group)], p, [part]) for p in near]
     least = min(end.normal.objective for end in ends)
