@@ -4,14 +4,13 @@ import { get } from "./http.js";
 
 /** The newest finished fits of a table. */
 export async function fitsOf(table) {
-  const { items } = await get("/v1/fits?limit=200");
-  return items.filter((fit) => fit.table === table);
+  return (await get(`/v1/fits?limit=100&table=${encodeURIComponent(table)}`)).items;
 }
 
 /** The jobs of a table and kind, newest first. */
 export async function jobsOf(table, kind) {
-  const { items } = await get("/v1/jobs?limit=100");
-  return items.filter((job) => job.table === table && job.kind === kind);
+  const { items } = await get(`/v1/jobs?limit=100&table=${encodeURIComponent(table)}`);
+  return items.filter((job) => job.kind === kind);
 }
 
 /** The fits that a finished job made, whole. */
@@ -28,6 +27,3 @@ export function requestOf(job) {
   const { model, ...rest } = specs[0];
   return { table: job.table, models: specs.map((spec) => spec.model), ...lean(rest) };
 }
-
-/** The name of a model specification is not in it: a job's results have it, and what waits is told by its family. */
-export const nameOf = (spec) => (typeof spec === "string" ? spec : spec.lobes > 1 ? `${spec.family}:${spec.lobes}` : spec.family);

@@ -33,8 +33,16 @@ export function show(root, now) {
   }
 }
 
+/** Fits made since are on offer, too. */
+export async function reopened(now) {
+  if (!parts?.offered || parts.busy) return;
+  const there = (await fitsOf(now.table)).map((one) => one.id).join();
+  if (shown.table === now.table && there !== parts.offered) fill(parts.asked, "", () => asking(now));
+}
+
 async function asking(now) {
   const [fits, table] = await Promise.all([fitsOf(now.table), get(`/v1/tables/${now.table}`)]);
+  parts.offered = fits.map((one) => one.id).join();
   const fit = select([...fits.map((one) => [one.id, `${one.model}, ${new Date(one.created).toLocaleTimeString()}`]), ["", "none: the raw table alone"]], now.fit || fits.find((one) => one.job === now.job)?.id || fits[0]?.id || "");
   const shape = select(SHAPES, now.shape, (value) => set({ shape: value })), light = select(LIGHTS, now.light, (value) => set({ light: value }));
   const samples = select([["4", "4, a sketch"], ["16", "16"], ["64", "64"], ["256", "256, slow"]], "16");
@@ -46,6 +54,7 @@ async function asking(now) {
     stopping?.abort();
     stopping = new AbortController();
     submit.disabled = true;
+    parts.busy = true;
     outcome.replaceChildren();
     parts.progress.replaceChildren();
     const boxes = [el("div", {}), el("div", {})];
@@ -65,6 +74,7 @@ async function asking(now) {
       if (error.name !== "AbortError") outcome.replaceChildren(problem(error));
     }
     submit.disabled = false;
+    parts.busy = false;
   };
   return el("form", { onsubmit: send },
     el("div", { class: "controls" }, field("Fit", fit), field("Shape", shape), field("Light", light), field("Samples a pixel", samples), field("Leave out effects below", tolerance), el("div", { class: "field" }, submit)), outcome);

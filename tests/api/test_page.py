@@ -183,15 +183,16 @@ def _run(command: str, folder: Path) -> None:
     subprocess.run(["sh", "-c", words], check=True, capture_output=True, cwd=folder, timeout=120)
 
 
-def test_problems_in_their_own_words(
-    watch: Callable[..., Watched], address: str, tmp_path: Path
-) -> None:  # fmt: skip
+def test_problems_in_their_own_words(watch: Callable[..., Watched], address: str) -> None:
     watched = watch(address, PHONE, color_scheme="dark")
     page = watched.page
     page.goto(address)
-    bad = tmp_path / "bad.csv"
-    bad.write_text("theta_i_deg,theta_o_deg,dphi_deg,brdf\n0,0,0,1\n30,10,0,many\n")
-    page.set_input_files("#file", str(bad))
+    dropped = page.evaluate_handle(
+        "(text) => { const moved = new DataTransfer(); moved.items.add(new File([text], 'bad.csv'));"
+        " return moved; }",
+        "theta_i_deg,theta_o_deg,dphi_deg,brdf\n0,0,0,1\n30,10,0,many\n",
+    )
+    page.dispatch_event(".drop", "drop", {"dataTransfer": dropped})
     said = page.get_by_role("alert")
     expect(said).to_contain_text("row")
     expect(said).to_contain_text("Remedy")
@@ -235,6 +236,35 @@ def test_keyboard(watch: Callable[..., Watched], address: str, table: str) -> No
     plot = page.locator("#panel-look .plot").nth(1)
     expect(plot).to_have_attribute("aria-label", re.compile("of 45.5°"))
     watched.check()
+
+
+def test_cancelled_and_run_again(watch: Callable[..., Watched], serving: Any, table_bytes: bytes) -> None:
+    """Each kind of fit, at a service whose jobs all wait: what is run again is what was asked for."""
+    client = serving(workers=0)
+    table = client.post("/v1/tables", content=table_bytes).json()["id"]
+    with listening(client.app) as address:
+        watched = watch(address)
+        page = watched.page
+        page.goto(f"{address}/?panel=fit&table={table}")
+        fit = page.locator("#panel-fit")
+        for auto in (False, True):
+            if auto:
+                fit.get_by_role("checkbox", name=re.compile("^auto")).check()
+            fit.get_by_label("Metric").select_option("log")
+            fit.get_by_label(re.compile("^Budget")).fill("3")
+            fit.get_by_role("button", name="Fit", exact=True).click()
+            fit.get_by_role("button", name="Cancel").click()
+            expect(fit.get_by_role("alert")).to_contain_text("Cancelled")
+            fit.get_by_role("button", name="Run it again").click()
+            expect(fit.get_by_role("button", name="Cancel")).to_be_visible()
+            again, first = client.get("/v1/jobs").json()["items"][:2]
+            assert (first["state"], again["state"]) == ("cancelled", "queued")
+            assert first["request"] == again["request"]
+            assert ("selection" in first["request"]) == auto
+            fit.get_by_role("button", name="Cancel").click()
+            expect(fit.get_by_role("alert")).to_contain_text("Cancelled")
+        watched.check()
+        page.context.close()
 
 
 def test_a_key_is_asked_for_and_sent(watch: Callable[..., Watched], serving: Any, table_bytes: bytes) -> None:
