@@ -124,6 +124,14 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     page.get_by_label("Effective sample size").fill("50")
     page.get_by_role("button", name="Sample the posterior").click()
     drawn(page.locator("#panel-fit .plot.square"))
+    cost = page.locator("section.card", has=page.get_by_role("heading", name="Accuracy against time")).last
+    cost.get_by_label("Time limit / s").fill("3")
+    cost.get_by_role("button", name="Measure it").click()
+    drawn(cost.locator(".plot"))
+    told = cost.get_by_text(re.compile(f"fit in focus, {best}"))
+    ringed = "in focus" in cost.locator(".plot").evaluate("(plot) => plot.data.map((trace) => trace.name)")
+    # In so short a time not every model has its turn; where this one had, it is ringed.
+    expect(told).to_contain_text("ringed point" if ringed else "No point was measured")
     watched.accessible("fit")
 
     # Rendered beside the raw table.
