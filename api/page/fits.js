@@ -19,11 +19,16 @@ export async function fitsOfJob(job, panel) {
   return Promise.all(made.map((one) => get(`/v1/fits/${one.id}`, { panel })));
 }
 
+/** The fields of a request that say something: not null, and no object of nulls. */
+export function given(fields) {
+  const says = (value) => value !== null && (typeof value !== "object" || Array.isArray(value) || Object.values(value).some(says));
+  return Object.fromEntries(Object.entries(fields).filter(([, value]) => says(value)));
+}
+
 /** The request that starts a fit job again. */
 export function requestOf(job) {
   const { specs, selection } = job.request;
-  const lean = (spec) => Object.fromEntries(Object.entries(spec).filter(([, value]) => value !== null && !(typeof value === "object" && !Array.isArray(value) && !Object.values(value).some((v) => v !== null))));
-  if (selection) return { table: job.table, ...lean(selection), model: "auto" };
+  if (selection) return { table: job.table, ...given(selection), model: "auto" };
   const { model, ...rest } = specs[0];
-  return { table: job.table, models: specs.map((spec) => spec.model), ...lean(rest) };
+  return { table: job.table, models: specs.map((spec) => spec.model), ...given(rest) };
 }

@@ -2,8 +2,8 @@
 
 import { card, el, facts, field, fill, grid, number, problem, select } from "./dom.js";
 import { start } from "./events.js";
-import { fitsOf } from "./fits.js";
-import { forget, get, request } from "./http.js";
+import { fitsOf, given } from "./fits.js";
+import { forget, get, recordStarted, request } from "./http.js";
 import { watchJob } from "./progress.js";
 import { LIGHTS, SHAPES, scene } from "./scenes.js";
 import { set } from "./state.js";
@@ -84,12 +84,14 @@ async function pictures({ picture, pictured }) {
   const raw = await get(`/v1/scenes/${picture}`, { panel: "see" });
   if (!pictured) {
     const image = await bitmap(`/v1/scenes/${picture}/picture.png`);
+    recordStarted("see", "/v1/scenes/render", [given((await get(raw.links.job)).request)]);
     return [card("Picture", el("div", { class: "pictures" }, cut(image, 0, image.width, "the raw table")), told(raw))];
   }
   const [fit, difference, image] = await Promise.all([
     get(`/v1/scenes/${pictured}`, { panel: "see" }), get(`/v1/scenes/${picture}/difference/${pictured}`, { panel: "see" }), bitmap(`/v1/scenes/${picture}/difference/${pictured}/picture.png`),
   ]);
-  const { request: asked } = await get(fit.links.job);
+  const [{ request: first }, { request: asked }] = await Promise.all([get(raw.links.job), get(fit.links.job)]);
+  recordStarted("see", "/v1/scenes/render", [given(first), given(asked)]);
   const model = (await get(`/v1/models/${asked.scene.materials.sample.fit}`)).name;
   const wide = (image.width - 4) / 3;
   const names = ["the raw table", model, `${model} less table, fourfold around grey`];

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -52,7 +53,9 @@ def open_panel(page: Page, name: str) -> None:
     page.get_by_role("navigation").get_by_role("link", name=name).click()
 
 
-def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: Path) -> None:
+def test_the_whole_path(
+    watch: Callable[..., Watched], client: Any, address: str, tmp_path: Path
+) -> None:  # fmt: skip
     watched = watch(address)
     page = watched.page
     page.goto(address)
@@ -174,6 +177,22 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     again.page.goto(link)
     expect(again.page.get_by_role("radio", name=best)).to_be_checked(timeout=120_000)
     drawn(again.page.locator("#panel-fit .plot.square"))
+    # So do the calls that made it: they are known from the jobs, and the service takes them as they are.
+    cost = again.page.locator("#panel-fit section.card", has_text="Accuracy against time")
+    drawn(cost.last.locator(".plot"))
+    open_panel(again.page, "See")
+    expect(again.page.locator("#panel-see canvas")).to_have_count(3)
+    open_panel(again.page, "Take away")
+    shown = again.page.get_by_role("region", name=re.compile("^calls of (Fit|See)"))
+    expect(shown).to_have_count(2)
+    posts = [line for text in shown.all_inner_texts() for line in text.splitlines() if "--json" in line]
+    kinds = sorted(line.rsplit("/v1/")[-1].strip("'") for line in posts)
+    assert kinds == ["fits", "posteriors", "scenes/render", "scenes/render", "tradeoffs"]
+    for post in posts:
+        said = subprocess.run(["sh", "-c", post], capture_output=True, check=True)
+        job = json.loads(said.stdout)
+        assert job["state"] == "queued", (post, said)
+        client.post(f"/v1/jobs/{job['id']}/cancel")
     again.check()
     watched.check()
 
@@ -291,6 +310,7 @@ def test_a_key_is_asked_for_and_sent(watch: Callable[..., Watched], serving: Any
         page.get_by_role("link", name="mine").click()
         expect(page.get_by_role("heading", name="mine")).to_be_visible()
         drawn(page.locator("#panel-table .plot"))
+        expect(page.locator(".findings li").first).to_be_visible()
         open_panel(page, "Take away")
         commands = page.get_by_role("region", name="calls of Measurement")
         expect(commands).to_contain_text("Bearer $BRDF_FITTER_KEY")
