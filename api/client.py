@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
 from api.schemas import JobDocument, ModelDocument, TableDocument
+from api.states import FINAL
 from fitter.errors import FitError, FitterError, SpecError
 from fitter.progress import Cancelled, Progress, ignore
 
@@ -32,9 +33,11 @@ Document = dict[str, Any]
 Work = Literal["fits", "posteriors", "calibrations", "tradeoffs"]
 
 NPY = "application/x-npy"
-FINAL = ("done", "failed", "cancelled")
 #: Seconds before each further attempt at a request that did not reach the server.
 RETRY_AFTER = (0.2, 1.0, 3.0)
+#: Seconds that an earlier attempt at the request may still be worked on: a server that was killed meanwhile
+#: has the request's name for 30 s more.
+IN_FLIGHT = 60.0
 #: Seconds without a byte (the server sends one every 15) after which an event stream counts as lost.
 SILENCE = 45.0
 
@@ -66,8 +69,9 @@ class Client:
     timeout : seconds that the server may stay silent within one answer.
     http : the HTTP client to use instead of one made from ``url``; the caller closes it.
 
-    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times: what a
-    POST makes is made once all the same (``Idempotency-Key``).
+    Raises Refused and ServiceFailed. Requests that are cut off, or 503, are sent again a few times, those of
+    which an earlier attempt is still worked on until that has ended: what a POST makes is made once all the
+    same (``Idempotency-Key``).
     """
 
     def __init__(
@@ -271,16 +275,23 @@ class Client:
     ) -> httpx.Response:
         body = more.get("content")
         start = 0 if body is None or isinstance(body, bytes) else body.tell()
-        waits = list(RETRY_AFTER)
+        waits, end = list(RETRY_AFTER), time.monotonic() + IN_FLIGHT
         while True:
             try:
                 answer = self._http.request(method, path, headers=headers, **more)
-                if answer.status_code != 503 or not waits:
-                    return answer
             except httpx.TransportError as error:
                 if not waits or isinstance(error, _FINAL):
                     raise _unreachable(error) from error
-            time.sleep(waits.pop(0))
+                time.sleep(waits.pop(0))
+            else:
+                # Of all conflicts only that with an earlier attempt at a request says when to try again.
+                again = answer.headers.get("retry-after") if answer.status_code == 409 else None
+                if again is not None and time.monotonic() < end:
+                    time.sleep(float(again))
+                elif answer.status_code == 503 and waits:
+                    time.sleep(waits.pop(0))
+                else:
+                    return answer
             if body is not None and not isinstance(body, bytes):
                 body.seek(start)
 

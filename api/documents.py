@@ -5,7 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from api.rows import QUEUED, RUNNING, EventRow, JobRow, ModelRow, SceneRow, TableRow, TradeoffRow
+from api.rows import CalibrationRow, EventRow, JobRow, ModelRow, PosteriorRow, SceneRow, TableRow, TradeoffRow
+from api.states import QUEUED, RUNNING
 
 
 def when(seconds: float) -> str:
@@ -15,7 +16,10 @@ def when(seconds: float) -> str:
 
 def table(row: TableRow) -> dict[str, Any]:
     here = f"/v1/tables/{row.id}"
-    verbs = ("info", "check", "evaluate", "samples", "slices", "readings")
+    verbs = (
+        "info", "check", "evaluate", "samples", "slices", "cuts", "lobe", "half-difference", "coverage",
+        "readings",
+    )  # fmt: skip
     links = {"self": here, **{verb: f"{here}/{verb}" for verb in verbs}}
     links["picture"] = f"{here}/picture.png"
     links["export"] = f"{here}/export/{{format}}"
@@ -71,9 +75,36 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     here = f"/v1/fits/{row.id}"
     return {
         "self": here, "table": f"/v1/tables/{row.table_id}", "job": f"/v1/jobs/{row.job_id}",
-        "model": f"/v1/models/{row.id}", "report": f"{here}/report.html",
-        "report_json": f"{here}/report.json", "report_pdf": f"{here}/report.pdf",
+        "model": f"/v1/models/{row.id}", "residuals": f"{here}/residuals", "slices": f"{here}/slices",
+        "report": f"{here}/report.html", "report_json": f"{here}/report.json",
+        "report_pdf": f"{here}/report.pdf",
     }  # fmt: skip
+
+
+def posterior(row: PosteriorRow) -> dict[str, Any]:
+    return {
+        "id": row.id, "created": when(row.created), "fit": row.fit_id, "job": row.job_id, **row.summary,
+        "links": posterior_links(row),
+    }  # fmt: skip
+
+
+def posterior_links(row: PosteriorRow) -> dict[str, str]:
+    here = f"/v1/posteriors/{row.id}"
+    links = {"self": here, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
+    return {**links, "export": f"{here}/export/{{format}}"}
+
+
+def calibration(row: CalibrationRow) -> dict[str, Any]:
+    return {
+        "id": row.id, "created": when(row.created), "fit": row.fit_id, "job": row.job_id, **row.summary,
+        "links": calibration_links(row),
+    }  # fmt: skip
+
+
+def calibration_links(row: CalibrationRow) -> dict[str, str]:
+    here = f"/v1/calibrations/{row.id}"
+    links = {"self": here, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
+    return {**links, "picture": f"{here}/picture.png"}
 
 
 def tradeoff(row: TradeoffRow) -> dict[str, Any]:

@@ -48,6 +48,9 @@ class InProcess:
         return True
 
     def run(self, job: JobRow, stopping: threading.Event) -> Ended:
+        # The row says that the job runs in this process: if that dies, it may be the job's doing.
+        if not self._store.begin(job, str(job.server)):
+            return "overtaken"
         return Attempt(self._store, self._worker, job, stopping.is_set).run()
 
     def stop(self) -> None: ...

@@ -28,6 +28,8 @@ FloatArray = NDArray[np.float64]
 
 #: A direction's length may be off by this much (rounded decimals); it is then scaled to unit length.
 LENGTH_TOLERANCE = 0.01
+#: One whose squared length is off by less is exact.
+EXACT = 1e-12
 
 
 async def _body(request: Request) -> bytes:
@@ -95,16 +97,16 @@ def checked(given: Any, name: str, limit: int) -> FloatArray:
             remedy="ask in several requests",
         )  # fmt: skip
     with np.errstate(over="ignore", invalid="ignore"):
-        square = np.einsum("ij,ij->i", w, w)
-        # What is not finite compares as false.
-        unit = np.abs(np.sqrt(square) - 1) <= LENGTH_TOLERANCE
+        off = np.abs(np.einsum("ij,ij->i", w, w) - 1)
+        # Exact input stays exactly what it is. What is not finite compares as false, the largest of it, too.
+        if off.max() <= EXACT:
+            return w
+        unit = np.abs(np.sqrt(np.einsum("ij,ij->i", w, w)) - 1) <= LENGTH_TOLERANCE
     if not unit.all():
         at = int(np.argmin(unit))
         what = "is not a unit vector" if np.isfinite(w[at]).all() else "is not finite"
         raise _bad(f"{name} {at + 1} {what}", name, at + 1)
-    # Exact input stays exactly what it is.
-    rounded = np.abs(square - 1) > 1e-12
-    return np.where(rounded[:, None], directions.unit(w), w) if rounded.any() else w
+    return np.where((off > EXACT)[:, None], directions.unit(w), w)
 
 
 def above_horizon(wi: FloatArray) -> None:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from api.service import Service
 
 #: What needs no key: whether the server is there, and how to use it.
-_OPEN = re.compile(r"/|/healthz|/readyz|/docs|/openapi\.json|/docs-assets/.*")
+_OPEN = re.compile(r"/|/healthz|/readyz|/docs|/openapi\.json|/docs-assets/.*|/page/.*")
 #: POSTs that change nothing.
-_ASKING = re.compile(r"/v1/(?:models|tables)/[^/]+/(?:evaluate|pdf|albedo|samples?)")
+_ASKING = re.compile(r"/v1/(?:models|tables)/[^/]+/(?:evaluate|pdf|albedo|samples?)|/v1/scenes/plan")
 
 
 def is_open(path: str) -> bool:

@@ -7,12 +7,15 @@ are kept for a day. Names belong to their owner: nobody learns what others use.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hashlib
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from anyio import CancelScope, to_thread
+from anyio import CancelScope, CapacityLimiter, to_thread
 from sqlalchemy import delete, select, update
 from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers
@@ -21,14 +24,17 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.guard import needed
 from api.keys import Caller
+from api.outages import DATABASE
 from api.problems import Problem, answer
 from api.rows import IdempotencyRow
 from api.sessions import Now, Sessions, new_id
 
+_log = logging.getLogger("brdf_fitter.api")
+
 #: Seconds that an answer is kept.
 KEPT = 86_400.0
-#: Seconds after which a request that has not been answered counts as cut off with its server.
-LEASE = 600.0
+#: Seconds after which a request whose claim is not renewed counts as cut off with its server.
+LEASE = 30.0
 #: Headers of an answer that are part of it.
 _HEADERS = ("content-type", "location", "preference-applied")
 
@@ -71,6 +77,16 @@ def _claim(store: Sessions, owner: str, key: str) -> str | Kept | None:
         return row.made
 
 
+def renew(store: Sessions, owner: str, key: str) -> None:
+    """Whoever works on the request is still at it."""
+    with store.writing() as session:
+        session.execute(
+            update(IdempotencyRow)
+            .where(IdempotencyRow.owner == owner, IdempotencyRow.key == key, IdempotencyRow.status.is_(None))
+            .values(lease=Now() + LEASE)
+        )
+
+
 def keep(store: Sessions, owner: str, key: str, kept: Kept) -> None:
     """The request is answered."""
     with store.writing() as session:
@@ -97,6 +113,8 @@ class Idempotent:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
+        # Not of the threads that requests share: those may all be at work for longer than a claim lasts.
+        self._threads = CapacityLimiter(1)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         key = Headers(scope=scope).get("idempotency-key") if scope["type"] == "http" else None
@@ -164,12 +182,31 @@ class Idempotent:
             await send(start)
             await send({**message, "body": bytes(content)})
 
+        renewing = asyncio.create_task(_renewing(store, owner, key, self._threads))
         try:
             await self._app(scope, body.receive, kept)
         finally:
+            renewing.cancel()
             if not done:
                 with CancelScope(shield=True):
-                    await to_thread.run_sync(lambda: release(store, owner, key, forget=False))
+                    await _released(store, owner, key)
+
+
+async def _renewing(store: Sessions, owner: str, key: str, threads: CapacityLimiter) -> None:
+    while True:
+        await asyncio.sleep(LEASE / 3)
+        # Where the database is away, the next time may do.
+        with contextlib.suppress(*DATABASE):
+            await to_thread.run_sync(renew, store, owner, key, limiter=threads)
+
+
+async def _released(store: Sessions, owner: str, key: str) -> None:
+    """Let the next attempt go on; where the database does not take that, the claim lapses by itself. What cut
+    this one off is the error to tell."""
+    try:
+        await to_thread.run_sync(lambda: release(store, owner, key, forget=False))
+    except DATABASE as error:
+        _log.warning("an Idempotency-Key can't be released, and is in %g s: %s", LEASE, error)
 
 
 class _Hashed:

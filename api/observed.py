@@ -32,7 +32,7 @@ class Observed:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        begun = time.perf_counter()
+        begun = come = time.perf_counter()
         given = Headers(scope=scope).get("x-request-id", "")
         id = given if _ID.fullmatch(given) else uuid.uuid4().hex
         state = scope.setdefault("state", {})
@@ -46,15 +46,23 @@ class Observed:
                 headers = MutableHeaders(raw=list(message["headers"]))
                 headers["X-Request-Id"] = id
                 # All that takes time is done before an answer begins, but for streams.
-                headers["Server-Timing"] = f"app;dur={1e3 * (time.perf_counter() - begun):.1f}"
+                receiving, app = (f"{1e3 * t:.1f}" for t in (come - begun, time.perf_counter() - come))
+                headers["Server-Timing"] = f"receive;dur={receiving}, app;dur={app}"
                 job = job or _job(headers.get("location", ""))
                 message = {**message, "headers": headers.raw}
             else:
                 sent += len(message.get("body", b""))
             await send(message)
 
+        async def heard() -> Message:
+            nonlocal come
+            message = await receive()
+            if message["type"] == "http.request":
+                come = time.perf_counter()
+            return message
+
         try:
-            await self._app(scope, receive, noted)
+            await self._app(scope, heard, noted)
         except Exception as error:
             known = outage(error)
             if known is None:

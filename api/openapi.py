@@ -19,7 +19,7 @@ _VECTORS = {"oneOf": [_VECTOR, {"type": "array", "items": _VECTOR, "minItems": 1
 _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
 _PARAMETERS = {
     "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0,
-    "format": "openexr", "draws": 4,
+    "format": "openexr", "draws": 4, "other": "fedcba9876543210fedcba9876543210",
     "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55",
 }  # fmt: skip
 _TABLE = """# quantity: brdf

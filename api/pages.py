@@ -1,43 +1,42 @@
-"""Pages for people: the front page, and the API's documentation with nothing fetched from outside."""
+"""Pages for people: the page, and the API's documentation, with nothing fetched from outside."""
 
 from __future__ import annotations
 
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.docs import get_swagger_ui_html
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
 
 import fitter
-
-_FRONT = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>brdf-fitter</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>body{{font:16px/1.5 system-ui,sans-serif;max-width:42rem;margin:3rem auto;padding:0 1rem}}
-code,pre{{background:#f3f3f3;padding:.1em .3em}}pre{{padding:1em;overflow:auto}}</style></head><body>
-<h1>brdf-fitter {version}</h1>
-<p>Fits reflectance models to measured BRDF tables, with uncertainties.</p>
-<pre>curl --data-binary @paint.astm {base}v1/tables
-curl --json '{{"table": "ID", "models": ["ward", "torrance_sparrow"]}}' {base}v1/fits</pre>
-<ul><li><a href="docs">What every operation takes and gives</a> (<a href="openapi.json">OpenAPI</a>)</li>
-<li><a href="v1/tables">Tables</a>, <a href="v1/jobs">jobs</a>, <a href="v1/fits">fits</a>,
-<a href="v1/models">models</a>, <a href="v1/model-families">model families</a></li>
-<li><a href="healthz">Health</a>, <a href="metrics">metrics</a></li></ul>
-</body></html>
-"""
+from api.assets import HEADERS, Assets
 
 
 def install(app: FastAPI) -> None:
-    """Add ``/``, ``/docs`` and the script and style that the latter needs."""
+    """Add ``/`` with its files, and ``/docs`` with the script and style that it needs."""
     router = APIRouter(include_in_schema=False)
+    assets = Assets()
 
     @router.get("/")
-    def front(request: Request) -> HTMLResponse:
-        # The host name is the client's word.
-        return HTMLResponse(_FRONT.format(version=fitter.__version__, base=escape(str(request.base_url))))
+    def front() -> HTMLResponse:
+        # It names its files by their content: whatever is older is asked for again.
+        headers = {**HEADERS, "Cache-Control": "no-cache"}
+        return HTMLResponse(assets.page(version=fitter.__version__), headers=headers)
+
+    @router.get("/page/{digest}/{name:path}")
+    def asset(digest: str, name: str, request: Request) -> Response:
+        found = assets.get(name) if digest == assets.digest else None
+        if found is None:
+            raise HTTPException(404)
+        kept = {"Cache-Control": "public, max-age=31536000, immutable", "Vary": "Accept-Encoding"}
+        headers = {**HEADERS, **kept}
+        content = found.content
+        if "gzip" in request.headers.get("accept-encoding", "") and found.packed is not None:
+            content, headers["Content-Encoding"] = found.packed, "gzip"
+        return Response(content, media_type=found.media_type, headers=headers)
 
     @router.get("/docs")
     def docs() -> HTMLResponse:

@@ -15,11 +15,14 @@ import orjson
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
-from api.rows import CANCELLED, DONE, FAILED, FINAL, QUEUED, RUNNING, EventRow, JobRow, Row, TableRow
+from api.rows import EventRow, JobRow, Row, TableRow
 from api.sessions import Now, Sessions, is_id
+from api.states import CANCELLED, DONE, FAILED, FINAL, QUEUED, RUNNING
 
 #: What of a job changes, and so what its events hold.
 SHOWN = ("state", "attempt", "share", "what", "started", "finished", "results", "problem")
+#: A job is given up after so many losses that may be its own doing, or after this many times as many starts.
+STARTS = 10
 
 
 class QueueFull(Exception):
@@ -75,7 +78,8 @@ class Queue(Sessions):
         return held
 
     def begin(self, job: JobRow, worker: str) -> bool:
-        """Let ``worker`` work on this attempt; False where another has begun it or it is over.
+        """Let ``worker`` work on this attempt; False where another has begun it or it is over. A server that
+        works on it itself gives its own name.
 
         An engine that starts a task again by itself, after its worker died, gets no further than this: the
         next start has to be the next attempt, or a job that kills its workers would be started without end.
@@ -145,15 +149,21 @@ class Queue(Sessions):
             return row is not None
 
     def give_back(self, job: JobRow, max_losses: int, problem: dict[str, Any]) -> bool:
-        """The attempt was lost with who worked on it: the next one, or the end (``problem``)."""
+        """The attempt was lost with its worker: the next one, or the end (``problem``).
+
+        Nothing is held against a job at which the worker was not yet: it stood in line for it.
+        """
         with self.writing() as session:
             row = _mine(session, job)
             if row is not None:
-                _lost(session, row, max_losses, problem)
+                _lost(session, row, max_losses, problem, blame=row.worker is not None)
             return row is not None
 
     def recover(self, max_losses: int, problem: dict[str, Any], *, everything: bool = False) -> int:
         """Jobs whose lease has lapsed wait again, or are given up. Returns how many wait again.
+
+        The death of a server is held against the jobs that ran in it, and not against those at which a worker
+        of a cluster was: theirs is told by :meth:`give_back`.
 
         everything : all that are running, for who knows that nobody else can be at work.
         """
@@ -161,7 +171,12 @@ class Queue(Sessions):
             lapsed = or_(JobRow.lease.is_(None), JobRow.lease < Now())
             where = (JobRow.state == RUNNING,) if everything else (JobRow.state == RUNNING, lapsed)
             query = select(JobRow).where(*where).order_by(JobRow.id).with_for_update(skip_locked=True)
-            return sum(_lost(session, row, max_losses, problem) for row in session.scalars(query).all())
+            found = session.scalars(query).all()
+            own = [row.worker is not None and row.worker == row.server for row in found]
+            return sum(
+                _lost(session, row, max_losses, problem, blame=mine)
+                for row, mine in zip(found, own, strict=True)
+            )
 
     def cancel(self, id: str) -> JobRow:
         """A waiting job is cancelled at once, a running one is asked to stop."""
@@ -204,11 +219,11 @@ def _queue_again(session: Session, row: JobRow) -> None:
     _log(session, row)
 
 
-def _lost(session: Session, row: JobRow, max_losses: int, problem: dict[str, Any]) -> bool:
-    row.losses += 1
+def _lost(session: Session, row: JobRow, max_losses: int, problem: dict[str, Any], *, blame: bool) -> bool:
+    row.losses += blame
     if row.cancel:
         _end(session, row, CANCELLED)
-    elif row.losses >= max_losses:
+    elif row.losses >= max_losses or row.attempt >= STARTS * max_losses:
         _end(session, row, FAILED, problem=problem)
     else:
         _queue_again(session, row)

@@ -7,9 +7,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Boolean, Float, Index, Integer, LargeBinary, String
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-#: States a job may be in; the last three are final.
-QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
-FINAL = (DONE, FAILED, CANCELLED)
+from api.states import QUEUED
 
 
 class Base(DeclarativeBase):
@@ -47,8 +45,8 @@ class JobRow(Row):
     """Work that takes time. The row is the record: what the queue and its clients know is here.
 
     server : who has claimed the job, until ``lease`` (seconds since 1970 by the database's clock).
-    worker : the process that works on this attempt, None until one does. losses : attempts that ended with
-    the death of who worked on them. events : how many there are in its log.
+    worker : the process that works on this attempt, None until one does, ``server`` where that does itself.
+    losses : attempts that ended with the death of who worked on them. events : how many there are in its log.
     ``table_id`` is empty where the work needs no table.
     """
 

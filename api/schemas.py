@@ -162,14 +162,6 @@ class TableEvaluationDocument(EvaluationDocument):
     extrapolated: list[bool]
 
 
-class SliceDocument(TableEvaluationDocument):
-    """In-plane slice; ``theta_o_deg`` is positive on the specular side."""
-
-    theta_i_deg: float
-    phi_i_deg: float
-    theta_o_deg: list[float]
-
-
 class PdfDocument(BaseModel):
     """Density of wo given wi per unit solid angle."""
 
@@ -331,6 +323,14 @@ class PictureDocument(BaseModel):
     links: dict[str, str]
 
 
+class DifferenceDocument(BaseModel):
+    """Two pictures, channel by channel: `error` and `noise` (root mean squares), `error_without_noise` and
+    `bias`, all over the first one's F, and `psnr_db`."""
+
+    numbers: list[dict[str, Any]]
+    reference: float = Field(description="F of the first picture, W/(m2 sr)")
+
+
 class Progress(BaseModel):
     """How far a job is: share in [0, 1], and what it is doing."""
 
@@ -386,6 +386,23 @@ class FitDocument(BaseModel):
     message: str
     posteriors: list[str]
     links: dict[str, str]
+
+
+class PosteriorSummary(BaseModel):
+    """One posterior in a list."""
+
+    id: str = Field(examples=[_ID])
+    created: str
+    fit: str
+    job: str
+    status: str
+    message: str
+    seconds: float
+    links: dict[str, str]
+
+
+class CalibrationSummary(PosteriorSummary):
+    """One calibration in a list."""
 
 
 class PosteriorDocument(BaseModel):

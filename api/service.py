@@ -18,8 +18,9 @@ from api.open_models import OpenModels
 from api.parsing import Limits, Parsers
 from api.problems import Problem
 from api.results import Results
-from api.rows import FINAL, JobRow
+from api.rows import JobRow
 from api.settings import Settings
+from api.states import FINAL
 from api.storage import open_storage
 from api.store import Missing, QueueFull, Store
 from api.tables import OpenTables

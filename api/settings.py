@@ -29,7 +29,8 @@ class Settings:
     max_walkers, max_kept_draws, max_budget_seconds : of one posterior: walkers of all its ensembles, draws
         kept, and the time that bounds its steps.
     max_queue : jobs that may wait; more are refused with 429.
-    max_attempts : times a job is started before it is given up, when who works on it dies.
+    max_attempts : times who works on a job may die before it is given up; when servers die that did not work
+        on it, it is given up after ten times as many starts.
     lease_seconds : how long a claim holds without being renewed; a job of a dead server waits this long.
     keys : whether requests need an API key.
     requests_per_second, burst : of one key, or address where no keys are needed; 0 is no limit.

@@ -14,7 +14,8 @@ from fastapi import Header, Response
 from api import documents, schemas
 from api.access import Mine
 from api.routes import problems
-from api.rows import FINAL, JobRow, TableRow
+from api.rows import JobRow, TableRow
+from api.states import FINAL
 
 #: Seconds that a request waits at most, whatever it prefers: proxies give up after a minute.
 LONGEST_WAIT = 60

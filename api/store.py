@@ -10,8 +10,9 @@ from pathlib import Path
 from sqlalchemy import func, select, text
 
 from api.queue import Missing, Queue, QueueFull
-from api.rows import QUEUED, RESULTS, RUNNING, JobRow, TableRow
+from api.rows import RESULTS, JobRow, TableRow
 from api.sessions import is_id, new_id
+from api.states import QUEUED, RUNNING
 
 __all__ = ["InUse", "Missing", "QueueFull", "Store", "new_id"]
 

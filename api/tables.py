@@ -16,6 +16,7 @@ from api.blobs import Blobs
 from api.rows import TableRow
 from fitter.errors import TableError
 from fitter.formats.read_options import read_options
+from fitter.views import Views
 
 if TYPE_CHECKING:
     from fitter.sampling import Samples, TableSampler
@@ -35,10 +36,11 @@ def parse(data: bytes, options: dict[str, Any]) -> fitter.Table:
 
 
 class Opened:
-    """A parsed table, and its sampler once somebody drew from it."""
+    """A parsed table, what was looked at of it, and its sampler once somebody drew from it."""
 
     def __init__(self, table: fitter.Table) -> None:
         self.table = table
+        self.views = Views(table)
         self._lock = threading.Lock()
         self._sampler: TableSampler | None = None
 

@@ -15,7 +15,8 @@ from sqlalchemy import delete, select
 from api.blobs import Blobs
 from api.place import Place
 from api.results import Results
-from api.rows import FINAL, RESULTS, EventRow, JobRow, TableRow
+from api.rows import RESULTS, EventRow, JobRow, TableRow
+from api.states import FINAL
 from api.storage import Storage, open_storage
 from api.store import Store
 from fitter.errors import SpecError

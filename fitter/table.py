@@ -15,7 +15,7 @@ from fitter import directions
 from fitter.digest import DigestField, Sha256
 from fitter.errors import TableError
 from fitter.grid import Grid
-from fitter.parts import in_parts
+from fitter.parts import ROWS, in_parts
 from fitter.repeats import STEP, repeated
 from fitter.summary import Summary, summarise
 
@@ -329,25 +329,30 @@ class Table:
     @cached_property
     def domain(self) -> Domain:
         """Range of the usable samples."""
-        index = np.flatnonzero(self.mask)
-        key = np.empty(len(index), np.int64)
+        keys: list[NDArray[np.int64]] = []
         spans: list[FloatArray] = []
 
         def look(part: slice) -> None:
-            wi, wo = self.directions(index[part])
-            theta_i, phi_i = directions.spherical_from_vector(wi)
-            theta_o, _ = directions.spherical_from_vector(wo)
+            xi, yi, zi, xo, yo, zo = self._usable_components(part)
+            if not len(xi):
+                return
+            theta_i = directions.polar_from_components(xi, yi, zi)
+            theta_o = directions.polar_from_components(xo, yo, zo)
             # Out of plane where the triple product n . (wi x wo) is not zero.
-            out_of_plane = np.abs(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])
-            azimuth = phi_i if self.symmetry == "anisotropic" else np.zeros_like(phi_i)
+            out_of_plane = np.abs(xi * yo - yi * xo)
             # One integer per incidence: unique rows of a million-row array take a second.
-            azimuth = np.where(theta_i > SAME_DIRECTION, azimuth, 0.0)
-            key[part] = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000
-            key[part] += np.rint(azimuth * 1e5).astype(np.int64)
+            key = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000
+            if self.symmetry == "anisotropic":
+                azimuth = np.where(theta_i > SAME_DIRECTION, np.arctan2(yi, xi), 0.0)
+                key += np.rint(azimuth * 1e5).astype(np.int64)
+            keys.append(key)
             low = theta_i.min(), theta_o.min(), 0.0
             spans.append(np.array([low, (theta_i.max(), theta_o.max(), out_of_plane.max())]))
 
-        in_parts(look, len(index))
+        # Whole rows of a grid's last axis.
+        width = 1 if self.grid is None else self.grid.shape[-1]
+        in_parts(look, len(self), width * max(1, ROWS // width))
+        key = np.concatenate(keys)
         key.sort()  # in a fifth of the time that np.unique takes for so many
         low, high = np.min([span[0] for span in spans], axis=0), np.max([span[1] for span in spans], axis=0)
         return Domain(
@@ -356,6 +361,15 @@ class Table:
             incidences=1 + int(np.count_nonzero(np.diff(key))),
             in_plane=bool(high[2] < 1e-3),
         )
+
+    def _usable_components(self, part: slice) -> FloatArray:
+        """(6, n), x y z of wi and of wo, of the usable samples in ``part``: whole rows of a grid."""
+        used = self.mask[part]
+        if self.grid is None:
+            return np.hstack([self.wi[part][used], self.wo[part][used]]).T
+        found = np.empty((6, len(used)))
+        self.grid.row_components(part.start, part.stop, found)
+        return found if used.all() else found[:, used]
 
     @cached_property
     def summary(self) -> Summary:

@@ -48,7 +48,7 @@ async def start_posterior(
 
     def prepare() -> tuple[str, dict[str, Any]]:
         check_posterior(wanted, here.service.settings)
-        row = _with_table(here, wanted.fit)
+        row = with_table(here, fit_row(here, wanted.fit))
         spec = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
         return str(row.table_id), {"fit": row.id, "spec": spec}
 
@@ -68,7 +68,7 @@ async def start_calibration(
     def prepare() -> tuple[str, dict[str, Any]]:
         spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
         check_posterior(spec.posterior, here.service.settings)
-        row = _with_table(here, wanted.fit)
+        row = with_table(here, fit_row(here, wanted.fit))
         return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
 
     return await started(here, response, prefer, "calibration", prepare)
@@ -140,14 +140,24 @@ def report_as_accepted(id: str, here: Here, accept: Annotated[str | None, Header
 
 
 @router.get(
+    "/posteriors", response_model=schemas.Page[schemas.PosteriorSummary], responses=problems(422),
+    tags=["posteriors"],
+)  # fmt: skip
+def posteriors(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
+    """The sampled posteriors, newest first."""
+    rows, total = here.page(PosteriorRow, limit, offset)
+    return page(request, response, [documents.posterior(row) for row in rows], total, limit, offset)
+
+
+@router.get(
     "/posteriors/{id}", response_model=schemas.PosteriorDocument, responses=problems(404, 422),
     tags=["posteriors"],
 )  # fmt: skip
 def posterior(id: str, here: Here) -> Response:
     """The whole posterior: draws, credible intervals, diagnostics."""
-    row = here.get(PosteriorRow, id)
-    links = {"self": f"/v1/posteriors/{id}", "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
-    links["export"] = f"/v1/posteriors/{id}/export/{{format}}"
+    links = documents.posterior_links(here.get(PosteriorRow, id))
     document = {**here.service.results.read(id), "id": id, "links": links}
     return Response(dumps(document), media_type="application/json")
 
@@ -171,17 +181,24 @@ def posterior_export(
 
 
 @router.get(
+    "/calibrations", response_model=schemas.Page[schemas.CalibrationSummary], responses=problems(422),
+    tags=["posteriors"],
+)  # fmt: skip
+def calibrations(
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
+) -> dict[str, Any]:
+    """The finished calibrations, newest first."""
+    rows, total = here.page(CalibrationRow, limit, offset)
+    return page(request, response, [documents.calibration(row) for row in rows], total, limit, offset)
+
+
+@router.get(
     "/calibrations/{id}", response_model=schemas.CalibrationDocument, responses=problems(404, 422),
     tags=["posteriors"],
 )  # fmt: skip
 def calibration(id: str, here: Here) -> Response:
     """The whole calibration: every rank, the tests, the verdict."""
-    row = here.get(CalibrationRow, id)
-    self = f"/v1/calibrations/{id}"
-    links = {
-        "self": self, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}",
-        "picture": f"{self}/picture.png",
-    }  # fmt: skip
+    links = documents.calibration_links(here.get(CalibrationRow, id))
     document = {**here.service.results.read(id), "id": id, "links": links}
     return Response(dumps(document), media_type="application/json")
 
@@ -199,9 +216,8 @@ def calibration_picture(id: str, here: Here) -> Response:
     return Response(here.drawn(CalibrationRow, id, "png"), media_type="image/png")
 
 
-def _with_table(here: Mine, id: str) -> ModelRow:
-    """The row of a fit whose table is still there. Raises Problem (404, 409)."""
-    row = fit_row(here, id)
+def with_table(here: Mine, row: ModelRow) -> ModelRow:
+    """The row of a fit whose table is still there. Raises Problem (409)."""
     if here.find(TableRow, row.table_id or "") is None:
         raise Problem(
             409, "table-gone", "the table of this fit was deleted", remedy="upload it again and fit again"

@@ -14,7 +14,8 @@ from api import documents, schemas
 from api.access import Here
 from api.problems import Problem
 from api.routes import Limit, Offset, page, problems
-from api.rows import DONE, FAILED, FINAL, JobRow
+from api.rows import JobRow
+from api.states import DONE, FAILED, FINAL
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 

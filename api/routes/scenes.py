@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fastapi import APIRouter, Request, Response
 
 from api import documents, schemas
-from api.access import Here
+from api.access import Here, Mine
+from api.problems import Problem
 from api.routes import Limit, Offset, page, problems
 from api.rows import SceneRow
 from api.scenes import scene_of
 from api.starting import Prefer, answers, started
 from fitter.documents import dumps
+
+if TYPE_CHECKING:
+    from fitter.scene.comparison import Pixels
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
 
@@ -94,3 +98,53 @@ def picture_exr(id: str, here: Here) -> Response:
 def picture_png(id: str, here: Here) -> Response:
     """Tone-mapped."""
     return Response(here.drawn(SceneRow, id, "png"), media_type="image/png")
+
+
+@router.get(
+    "/scenes/{id}/difference/{other}", response_model=schemas.DifferenceDocument,
+    responses=problems(404, 409, 422),
+)  # fmt: skip
+def difference(id: str, other: str, here: Here) -> dict[str, Any]:
+    """How far the picture `other`, of a fit, say, is from this one, of the table: per channel, over F."""
+    from fitter.scene.comparison import apart
+
+    first, second, scale = _both(here, id, other)
+    return {"numbers": apart(first, second, scale), "reference": scale}
+
+
+@router.get(
+    "/scenes/{id}/difference/{other}/picture.png", response_class=Response,
+    responses={
+        **problems(404, 409, 422),
+        200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
+def difference_png(id: str, other: str, here: Here) -> Response:
+    """Both pictures, tone-mapped alike, and `other` less this one, fourfold around grey: three side by side,
+    2 pixels between."""
+    from fitter.scene.comparison import beside
+
+    return Response(beside(*_both(here, id, other)), media_type="image/png")
+
+
+def _both(here: Mine, id: str, other: str) -> tuple[Pixels, Pixels, float]:
+    """The pixels of two pictures, and F of the first. Raises Problem: 404, 409 where they don't match."""
+    from fitter.scene.comparison import Pixels
+    from fitter.scene.picture import planes_of
+
+    found: list[Pixels] = []
+    references: list[float] = []
+    for one in (id, other):
+        content = here.drawn(SceneRow, one, "exr")
+        document = here.service.results.read(one)
+        found.append(Pixels(*planes_of(content, document["channels"]), tuple(document["channels"])))
+        references.append(float(document["reference"]))
+    first, second = found
+    if first.radiance.shape != second.radiance.shape or first.channels != second.channels:
+        sizes = " and ".join(f"{one.radiance.shape[1]} x {one.radiance.shape[0]}" for one in found)
+        names = " and ".join(", ".join(one.channels) for one in found)
+        raise Problem(
+            409, "pictures-differ", f"the pictures are {sizes} pixels, of channels {names}",
+            remedy="render both with the same camera and channels",
+        )  # fmt: skip
+    return first, second, references[0]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from anyio import to_thread
+from anyio import CancelScope, to_thread
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -25,7 +27,6 @@ from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
 from api.store import InUse, Missing
-from fitter import directions
 from fitter.documents import dumps
 from fitter.export import subject, target
 from fitter.formats.describe import describe
@@ -94,13 +95,22 @@ async def upload(
 
 
 async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
-    """The body, to ``sink`` in pieces, in a thread: it writes to the disk."""
+    """The body, to ``sink`` in pieces, in a thread: it hashes and writes one while the next arrives."""
     waiting = bytearray()
-    async for chunk in request.stream():
-        waiting += chunk
-        if len(waiting) >= CHUNK:
-            await to_thread.run_sync(sink, bytes(waiting))
-            waiting.clear()
+    at_work: asyncio.Task[None] | None = None
+    try:
+        async for chunk in request.stream():
+            waiting += chunk
+            if len(waiting) >= CHUNK:
+                if at_work is not None:
+                    await asyncio.shield(at_work)
+                at_work = asyncio.create_task(to_thread.run_sync(sink, bytes(waiting)))
+                waiting.clear()
+    finally:
+        # Whatever happened: nobody closes the file while it is written to.
+        if at_work is not None:
+            with CancelScope(shield=True):
+                await at_work
     if waiting:
         await to_thread.run_sync(sink, bytes(waiting))
 
@@ -111,8 +121,11 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     if before is not None:
         return before
     sha256 = incoming.finish()
-    found = here.service.parsers.parse(incoming.path, options.to_dict())
-    incoming.pack()
+    # At once: the reading is another process's.
+    with ThreadPoolExecutor(1) as beside:
+        packing = beside.submit(incoming.pack)
+        found = here.service.parsers.parse(incoming.path, options.to_dict())
+        packing.result()
     row = TableRow(
         id=here.new_id(), created=time.time(), owner=here.caller.owner,
         name=(found.name or options.name or sha256[:12])[:255],
@@ -281,28 +294,6 @@ def export(id: str, format: str, here: Here, channels: ChosenChannels = None) ->
     row = here.get(TableRow, id)
     found = subject(here.service.tables.open(row).table, name=row.name)
     return respond_export(found, target(format).name, channels=channels)
-
-
-@router.get("/{id}/slices", response_model=schemas.SliceDocument, responses=problems(404, 422))
-def slices(
-    id: str,
-    here: Here,
-    theta_i_deg: Annotated[float, Query(ge=0, lt=90, allow_inf_nan=False)],
-    phi_i_deg: Annotated[float, Query(ge=-360, le=360, allow_inf_nan=False)] = 0.0,
-    n: Annotated[int, Query(ge=2, le=10_000, description="directions, from -89.5 to 89.5 degrees")] = 180,
-) -> Response:
-    """In-plane slice of the interpolant at one incidence; theta_o is positive on the specular side."""
-    found = here.service.tables.open(here.get(TableRow, id)).table
-    theta_o = np.linspace(-89.5, 89.5, n)
-    incident = directions.vector_from_spherical(np.deg2rad(theta_i_deg), np.deg2rad(phi_i_deg))
-    # The specular side is half a turn from the incident azimuth.
-    wo = directions.vector_from_spherical(np.deg2rad(theta_o), np.deg2rad(phi_i_deg) + np.pi)
-    values, extrapolated = found.evaluate(np.broadcast_to(incident, (n, 3)), wo)
-    document = {
-        "channels": _channels(found), "unit": "1/sr", "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg,
-        "theta_o_deg": theta_o, "values": values, "extrapolated": extrapolated,
-    }  # fmt: skip
-    return Response(dumps(document), media_type="application/json")
 
 
 def _channels(found: fitter.Table) -> list[str]:

@@ -156,7 +156,7 @@ def _timed(
     clock.lap("prepare")
 
     solved: list[Group] = []
-    draw = functools.cache(lambda: data.subset(request.subset, request.seed))
+    draw = functools.cache(lambda size: data.subset(size, request.seed))
     for k, group in enumerate(groups):
         progress((k + 0.1) / (len(groups) + 1), f"searching {request.model.name}")
         solved.append(solve(places, request, data, group, draw, clock))

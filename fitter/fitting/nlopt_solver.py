@@ -111,4 +111,4 @@ def polish(
             converged = method.last_optimize_result() != nlopt.MAXEVAL_REACHED
         if before - last[0][1].objective <= 1e-12 * before:
             break
-    return Polished(last[0][0], last[0][1], passes, converged)
+    return Polished(last[0][0], last[0][1], passes, converged, np.zeros_like(last[0][1].matrix))

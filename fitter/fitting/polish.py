@@ -121,14 +121,17 @@ Polished = Solution[Normal]
 
 def polish(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
-    max_passes: int = MAX_PASSES,
+    max_passes: int = MAX_PASSES, rest: FloatArray | None = None,
 ) -> Polished:  # fmt: skip
-    """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`."""
+    """Damped least squares on p = [u, inner] within its bounds, see :mod:`fitter.fitting.least_squares`.
+
+    rest : the second-order part that other samples of the table have taught, (P, P).
+    """
     lower, upper = bounds(layout, len(p))
     samples = count(blocks)
     return solve(
         lambda at: normal_equations(layout, metric, floor, at, blocks), p, lower, upper,
-        max(1, samples * len(floor) - len(p)), max_passes, TOLERANCE if samples <= BLOCK else COARSE,
+        max(1, samples * len(floor) - len(p)), max_passes, TOLERANCE if samples <= BLOCK else COARSE, rest,
     )  # fmt: skip
 
 

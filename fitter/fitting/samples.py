@@ -175,7 +175,7 @@ class Usable:
             measure[:count] = self.measure[rows]
         weight = metrics.base_weights(self.metric, y, sigma, pair[2], measure)
         if scale is not None:
-            weight[: len(scale)] *= metrics.scaling(self.metric, scale)[:, None]
+            weight[: len(scale)] *= np.sqrt(scale)[:, None]
         weight[count:] = 0.0
         if used is not None:
             weight[:count] *= used[:, None]
@@ -214,7 +214,7 @@ class Usable:
         """
         if len(self) <= size:
             return np.arange(len(self)), np.ones(len(self))
-        rows, step = self.evenly(max(ENOUGH, 8 * size))
+        rows, step = self.evenly(max(ENOUGH, 4 * size))
         chosen, scale = self.drawn(rows, np.full(len(rows), float(step)), size, seed)
         return rows[chosen], scale
 

@@ -29,15 +29,17 @@ FloatArray = NDArray[np.float64]
 #: Basins of the subset that are polished there, and within what share of the best one's objective they
 #: go on to the full table: a subset can't tell near-equals apart.
 BASINS, NEAR = 6, 1.1
+#: Samples that stand between the subset and a table of ``FEW`` times as many.
+MIDDLE, FEW = 32_768, 4
 
 
 def solve(
     places: Layout, request: FitSpec, data: Usable, group: Sequence[int],
-    draw: Callable[[], tuple[IntArray, FloatArray]], clock: Clock,
+    draw: Callable[[int], tuple[IntArray, FloatArray]], clock: Clock,
 ) -> Group:  # fmt: skip
     """The optimum for the channels ``group`` (positions among the selected).
 
-    draw : makes the subset that is searched, the same for all groups.
+    draw : makes a subset of that size, the same for all groups.
 
     Raises FitError where the objective is not finite.
     """
@@ -47,7 +49,7 @@ def solve(
     part = reduced = None if small or not complete else reduction.reduce(places, data, group)
     # Drawing a subset of a large table takes longer than searching its pseudo-samples.
     none = (data.index[:0], np.ones(0))
-    index, scale = draw() if reduced is None else none
+    index, scale = draw(request.subset) if reduced is None else none
     if part is None:
         part = data.part(group, index, padded(len(index)), scale)
     weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
@@ -76,17 +78,23 @@ def solve(
         near.append(in_order(places, p))
     clock.lap("subset polish")
     full: Blocks = data.blocks(group) if complete and not small else blocks
-    finish = polish if request.solver == "optimistix" else nlopt_solver.polish
+    own = request.solver == "optimistix"
+    finish = polish if own else nlopt_solver.polish
     if reduced is not None:
         # The pseudo-samples are the table: one pass made them, and their optimum is its optimum.
         end, passes = finish(places, metric, floor, in_order(places, best.p), blocks), 1
     else:
-        passes = 0
+        passes, rest = 0, None
+        if own and complete and len(data) > FEW * MIDDLE:
+            near, rest = _halfway(places, data, group, near, draw(MIDDLE))
         if len(near) > 1:
             rivals = [polish(places, metric, floor, p, full, 10) for p in near]
             near = [min(rivals, key=lambda end: end.normal.objective).p]
             passes = sum(end.passes for end in rivals)
-        end = finish(places, metric, floor, near[0], full)
+        if rest is None:
+            end = finish(places, metric, floor, near[0], full)
+        else:
+            end = polish(places, metric, floor, near[0], full, rest=rest)
         passes = passes + end.passes if complete else 0
     p, normal = order_axes(places, end.p, end.normal)
     end = replace(end, p=p, normal=normal)
@@ -119,6 +127,36 @@ def solve(
     evidence["reduced"] = reduced is not None
     examined = len(index) if reduced is None else len(data)
     return Group(end, found, estimates, evidence, examined, passes, error, chosen)
+
+
+def _halfway(
+    places: Layout, data: Usable, group: Sequence[int], near: Sequence[FloatArray],
+    drawn: tuple[IntArray, FloatArray],
+) -> tuple[list[FloatArray], FloatArray | None]:  # fmt: skip
+    """The vectors p that are still near-equals on the ``MIDDLE`` samples ``drawn``, and the second-order
+    part of the objective there where one is left.
+
+    A model that fits badly takes dozens of passes. From there, with what those have learned of the curvature,
+    the full table needs a few.
+    """
+    index, scale = drawn
+    part = data.part(group, index, MIDDLE, scale)
+    ends = [polish(places, data.metric, data.floor[list(group)], p, [part]) for p in near]
+    least = min(end.normal.objective for end in ends)
+    # Objectives of as many samples differ by chance, but those of the same samples by much less.
+    limit = (1.0 + 3.0 / np.sqrt(MIDDLE)) * least
+    rivals: list[Polished] = []
+    for end in sorted(ends, key=lambda end: end.normal.objective):
+        if end.normal.objective <= limit and not any(_same(end, other, len(index)) for other in rivals):
+            rivals.append(end)
+    return [end.p for end in rivals], rivals[0].rest if len(rivals) == 1 else None
+
+
+def _same(a: Polished, b: Polished, samples: int) -> bool:
+    """Whether two ends are one optimum: every parameter within a tenth of a standard uncertainty, all others
+    held; what the objective does not change with is of no weight."""
+    away = np.sqrt(np.maximum(np.diagonal(b.normal.matrix), 0.0)) * np.abs(a.p - b.p)
+    return bool(away.max() <= 0.1 * np.sqrt(b.normal.objective / samples))
 
 
 def _exchanged(

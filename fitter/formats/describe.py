@@ -18,7 +18,6 @@ _INCIDENCES_SHOWN = 8
 def describe(table: Table) -> dict[str, Any]:
     """JSON-ready facts: format, quantity, channels, counts, grid, domain (deg), values (1/sr), peaks."""
     meta = table.metadata
-    usable = table.value[table.mask]
     return {
         "name": meta.name,
         "format": meta.source_format,
@@ -29,16 +28,7 @@ def describe(table: Table) -> dict[str, Any]:
         "samples": len(table),
         "usable": int(table.mask.sum()),
         "masked": dict(meta.masked),
-        "channels": [
-            {
-                "name": channel.name,
-                "wavelength_nm": channel.wavelength_nm,
-                "min_per_sr": float(column.min()) + 0.0,  # -0 is 0
-                "median_per_sr": float(np.median(column)),
-                "max_per_sr": float(column.max()),
-            }
-            for channel, column in zip(table.channels, usable.T, strict=True)
-        ],
+        "channels": [_channel(table, k) for k in range(len(table.channels))],
         "sigma": table.sigma is not None,
         "grid": _grid(table),
         "domain": table.domain.to_dict(),
@@ -50,6 +40,17 @@ def describe(table: Table) -> dict[str, Any]:
         "sha256": meta.sha256,
         "provenance": dict(meta.provenance),
         "notes": list(meta.notes),
+    }
+
+
+def _channel(table: Table, k: int) -> dict[str, Any]:
+    column = table.value[:, k][table.mask]
+    return {
+        "name": table.channels[k].name,
+        "wavelength_nm": table.channels[k].wavelength_nm,
+        "min_per_sr": float(column.min()) + 0.0,  # -0 is 0
+        "median_per_sr": float(np.median(column, overwrite_input=True)),
+        "max_per_sr": float(column.max()),
     }
 
 

@@ -37,12 +37,17 @@ CELL_DEG = 3.0
 class Cut:
     """In-plane samples at one incidence: theta_o (n,) in degrees, increasing, positive on the specular side.
 
-    value : (n,) mean of the channels, 1/sr.
+    channels : (n, C) values in 1/sr.
     """
 
     theta_i_deg: float
     theta_o_deg: FloatArray
-    value: FloatArray
+    channels: FloatArray
+
+    @property
+    def value(self) -> FloatArray:
+        """(n,) mean of the channels, 1/sr."""
+        return np.asarray(self.channels.mean(axis=1))
 
 
 @dataclass(frozen=True)
@@ -95,17 +100,18 @@ def portrait(table: Table, *, seed: int = SEED) -> Portrait:
     """What the picture of a table shows. ``seed`` draws the cells that are counted of a large grid."""
     with np.errstate(over="ignore", under="ignore"):
         usable = Measured.of(table, seed, usable=True)
-        found, plane_deg, azimuth = _cuts(table)
+        found, plane_deg, azimuth = cuts(table)
         areas = hemispheres(usable)
         shares = [one.blind for one in areas if one.kind == "area"]
-        edges, counts, masked = _angles(table, usable, seed)
+        edges, counts, masked = covered(table, usable, seed)
         return Portrait(
             table, found, plane_deg, azimuth, _disks(usable, areas, azimuth), edges, counts, masked,
             float(np.mean(shares)) if shares else None, len(usable.rows),
         )  # fmt: skip
 
 
-def _cuts(table: Table) -> tuple[tuple[Cut, ...], float, float | None]:
+def cuts(table: Table) -> tuple[tuple[Cut, ...], float, float | None]:
+    """In-plane samples of up to six incidences; ``plane_deg`` and ``azimuth_deg`` of :class:`Portrait`."""
     index, tolerance = near_plane(table, np.flatnonzero(table.mask))
     if not len(index):
         return (), tolerance, None
@@ -113,18 +119,20 @@ def _cuts(table: Table) -> tuple[tuple[Cut, ...], float, float | None]:
     index, wi, wo, azimuth = one_azimuth(table, index, wi, wo)
     theta_i = np.rad2deg(directions.spherical_from_vector(wi)[0])
     signed = np.rad2deg(signed_theta(wi, wo))
-    level = table.value[index].mean(axis=1)
-    cuts: list[Cut] = []
+    value = table.value[index]
+    found: list[Cut] = []
     for group in incidence_groups(theta_i):
         cell = np.round(signed[group] / BIN_DEG).astype(np.int64)
         _, inverse = np.unique(cell, return_inverse=True)
         size = np.bincount(inverse)
-        at, value = (np.bincount(inverse, column[group]) / size for column in (signed, level))
-        cuts.append(Cut(float(np.median(theta_i[group])), at, value))
-    return tuple(cuts), tolerance, azimuth
+        at, *level = (
+            np.bincount(inverse, column) / size for column in (signed[group], *value[group].T)
+        )  # fmt: skip
+        found.append(Cut(float(np.median(theta_i[group])), at, np.stack(level, axis=1)))
+    return tuple(found), tolerance, azimuth
 
 
-def _angles(
+def covered(
     table: Table, usable: Measured, seed: int
 ) -> tuple[tuple[FloatArray, FloatArray], NDArray[np.int64], NDArray[np.int64]]:
     """Edges in degrees, and samples in each cell of theta_i and theta_o: the usable ones, and the others."""

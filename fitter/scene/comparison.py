@@ -20,6 +20,55 @@ from fitter.scene.materials import Material
 from fitter.scene.rendering import Picture, render
 from fitter.table import Table
 
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """What of a picture is compared: radiance and standard_error (H, W, C), W/(m2 sr)."""
+
+    radiance: FloatArray
+    standard_error: FloatArray
+    channels: tuple[str, ...]
+
+
+def apart(table: Pixels, fit: Pixels, scale: float) -> list[dict[str, Any]]:
+    """How far two pictures are apart. For each channel, over ``scale`` (F of the table's picture): root mean
+    square difference, what of it noise explains (the standard errors of both), the rest, the mean difference,
+    and PSNR against the table's brightest pixel below the 99.9th percentile."""
+    found: list[dict[str, Any]] = []
+    unit = scale if scale > 0 else 1.0
+    for k, name in enumerate(table.channels):
+        a, b = table.radiance[..., k], fit.radiance[..., k]
+        squared = float(((a - b) ** 2).mean())
+        both = table.standard_error[..., k], fit.standard_error[..., k]
+        noise = float((both[0] ** 2 + both[1] ** 2).mean())
+        peak = float(np.percentile(a, 99.9))
+        found.append(
+            {
+                "channel": name, "error": float(np.sqrt(squared)) / unit,
+                "noise": float(np.sqrt(noise)) / unit,
+                "error_without_noise": float(np.sqrt(max(squared - noise, 0.0))) / unit,
+                "bias": float((b - a).mean()) / unit,
+                "psnr_db": float(10 * np.log10(peak**2 / squared)) if squared > 0 and peak > 0 else None,
+            }
+        )  # fmt: skip
+    return found
+
+
+def beside(table: Pixels, fit: Pixels, scale: float) -> bytes:
+    """PNG: the table, the fit, and their difference around grey, fourfold, side by side, 2 pixels between."""
+    sides = [files.displayed(one.radiance, one.channels, scale) for one in (table, fit)]
+    difference = (fit.radiance - table.radiance) / (scale if scale > 0 else 1.0)
+    difference = files.as_rgb(difference, table.channels)
+    grey: NDArray[np.uint8] = np.round(255 * np.clip(0.5 + 2.0 * difference, 0.0, 1.0)).astype(np.uint8)
+    gap = np.full((grey.shape[0], 2, 3), 255, np.uint8)
+    return files.png_bytes(np.concatenate([sides[0], gap, sides[1], gap, grey], axis=1))
+
+
+def _pixels(picture: Picture) -> Pixels:
+    return Pixels(picture.radiance, picture.standard_error, picture.channels)
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -31,28 +80,8 @@ class Comparison:
     model: str
 
     def numbers(self) -> list[dict[str, Any]]:
-        """For each channel, over F of the table's picture: root mean square difference, what of it noise
-        explains (the standard errors of both), the rest, the mean difference, and PSNR against the table's
-        brightest pixel below the 99.9th percentile."""
-        found: list[dict[str, Any]] = []
-        scale = self.table.reference
-        for k, name in enumerate(self.table.channels):
-            a, b = self.table.radiance[..., k], self.fit.radiance[..., k]
-            squared = float(((a - b) ** 2).mean())
-            both = self.table.standard_error[..., k], self.fit.standard_error[..., k]
-            noise = float((both[0] ** 2 + both[1] ** 2).mean())
-            peak = float(np.percentile(a, 99.9))
-            unit = scale if scale > 0 else 1.0
-            found.append(
-                {
-                    "channel": name, "error": float(np.sqrt(squared)) / unit,
-                    "noise": float(np.sqrt(noise)) / unit,
-                    "error_without_noise": float(np.sqrt(max(squared - noise, 0.0))) / unit,
-                    "bias": float((b - a).mean()) / unit,
-                    "psnr_db": float(10 * np.log10(peak**2 / squared)) if squared > 0 and peak > 0 else None,
-                }
-            )  # fmt: skip
-        return found
+        """See :func:`apart`."""
+        return apart(_pixels(self.table), _pixels(self.fit), self.table.reference)
 
     def rows(self) -> list[list[str]]:
         """The numbers for a person."""
@@ -80,14 +109,8 @@ class Comparison:
         }  # fmt: skip
 
     def png(self) -> bytes:
-        """Table, fit, and their difference around grey, fourfold, side by side."""
-        scale = self.table.reference
-        sides = [files.displayed(one.radiance, one.channels, scale) for one in (self.table, self.fit)]
-        apart = (self.fit.radiance - self.table.radiance) / (scale if scale > 0 else 1.0)
-        apart = files.as_rgb(apart, self.table.channels)
-        grey: NDArray[np.uint8] = np.round(255 * np.clip(0.5 + 2.0 * apart, 0.0, 1.0)).astype(np.uint8)
-        gap = np.full((grey.shape[0], 2, 3), 255, np.uint8)
-        return files.png_bytes(np.concatenate([sides[0], gap, sides[1], gap, grey], axis=1))
+        """See :func:`beside`."""
+        return beside(_pixels(self.table), _pixels(self.fit), self.table.reference)
 
     def save(self, folder: Path) -> list[Path]:
         """Write compare.png, compare.json, and the pictures table.exr and fit.exr."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,20 @@ def exr(picture: Picture) -> bytes:
     if picture.plan is not None:
         said[PLAN] = json.dumps(picture.plan)
     return exr_bytes(planes, said)
+
+
+def planes_of(content: bytes, channels: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radiance and standard error (H, W, C) of a file that :func:`exr` wrote of these channels."""
+    import OpenEXR
+
+    # Without this R, G and B would come as one array.
+    found = OpenEXR.File(BytesIO(content), separate_channels=True).channels()
+    names = _names(tuple(channels))
+    radiance, error = (
+        np.stack([np.asarray(found[prefix + name].pixels, np.float64) for name in names], axis=-1)
+        for prefix in ("", "se.")
+    )
+    return radiance, error
 
 
 def exr_bytes(planes: Mapping[str, NDArray[np.float32]], said: Mapping[str, str]) -> bytes:

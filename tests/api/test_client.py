@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -99,6 +100,27 @@ def test_nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
     assert error.value.code == "server-unreachable"
     with pytest.raises(SpecError, match="no URL"):
         Client("127.0.0.1:8000")
+
+
+def test_an_attempt_that_is_still_worked_on_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    names: list[str] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        names.append(request.headers["idempotency-key"])
+        if len(names) < 6:
+            busy = {"code": "in-flight", "detail": "x"}
+            return httpx.Response(409, headers={"Retry-After": "0"}, json=busy)
+        return httpx.Response(201, json={})
+
+    with httpx.Client(base_url="http://here", transport=httpx.MockTransport(answer)) as http:
+        assert Client(http=http).request("POST", "/v1/models").status_code == 201
+        # The same request, however often; and no longer than an attempt can take.
+        assert len(names) == 6
+        assert len(set(names)) == 1
+        names.clear()
+        monkeypatch.setattr("api.client.IN_FLIGHT", 0.0)
+        with pytest.raises(Refused, match="x"):
+            Client(http=http).request("POST", "/v1/models")
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 import zipfile
 from collections.abc import Callable
 from typing import Any
@@ -169,6 +170,10 @@ def test_calibration(client: Any, fit: str, wait: Callable[..., Any]) -> None:
     document = client.get(result["links"]["self"]).json()
     assert Calibration.from_dict(document).simulations == 1
     assert document["links"]["fit"] == f"/v1/fits/{fit}"
+    (first,) = client.get("/v1/calibrations").json()["items"]
+    assert (first["id"], first["status"], first["links"]) == (
+        document["id"], document["status"], document["links"]
+    )  # fmt: skip
     assert {"rho[R]", "rho[G]", "rho[B]", "relative_noise[R]"} <= set(document["labels"])
     picture = client.get(result["links"]["picture"])
     assert picture.headers["content-type"] == "image/png"
@@ -192,6 +197,12 @@ def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) 
     assert document["kind"] == "brdf-fitter/posterior"
     assert document["links"]["fit"] == f"/v1/fits/{fit}"
     assert client.get(f"/v1/fits/{fit}").json()["posteriors"] == [document["id"]]
+    end = time.monotonic() + 20  # it is counted a moment after it can be read
+    while 'brdf_acceptance_count{sampler="posterior"}' not in client.get("/metrics").text:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    first = client.get("/v1/posteriors?limit=1").json()["items"][0]
+    assert (first["id"], first["fit"], first["links"]) == (document["id"], fit, document["links"])
     assert client.get(f"/v1/fits/{fit}/report.html").status_code == 200
     export = document["links"]["export"].format(format="c")
     drawn = client.get(export, params={"draws": 3, "unconverged": True})

@@ -20,6 +20,7 @@ import pytest
 
 from api import parsing
 from api.parsing import Limits
+from tests.formats.samples import SAMPLES
 
 from . import bad_readers
 from .conftest import small_table
@@ -131,6 +132,13 @@ def test_a_reader_that_needs_too_much_memory_is_stopped(tmp_path: Path) -> None:
     with pytest.raises(parsing.Problem) as stopped:
         parsing.Parsers(1, Limits(64 << 20, 60, 10**7, 10)).parse(path, {})
     assert stopped.value.code == "reading-takes-too-much"
+
+
+def test_a_small_parquet_file_needs_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "small.parquet"
+    path.write_bytes(next(one.data for one in SAMPLES if one.name == "parquet"))
+    parsers = parsing.Parsers(1, Limits(256 << 20, 60, 10**6, 10))
+    assert parsers.parse(path, {}).description["format"] == "parquet"
 
 
 def test_a_reader_that_crashes_or_hangs_is_the_file_s_end(

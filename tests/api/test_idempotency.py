@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from api import idempotency
 from api.rows import IdempotencyRow, JobRow, ModelRow, TableRow
@@ -85,6 +87,55 @@ def test_two_at_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     go.set()
     first.join()
     assert answers[0].status_code == 201
+
+
+def test_a_claim_that_is_not_renewed_lapses(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = client.app.state.service.store
+    with monkeypatch.context() as patched:
+        patched.setattr(idempotency, "LEASE", -1.0)
+        made = idempotency.claim(store, "", "i")
+        assert isinstance(made, str)
+        assert idempotency.claim(store, "", "i") == made  # and what it makes keeps its id
+    idempotency.renew(store, "", "i")
+    assert idempotency.claim(store, "", "i") is None
+    assert client.post("/v1/models", json=MODEL, headers=named("i")).status_code == 409
+
+
+def test_a_claim_is_renewed_while_its_request_is_worked_on(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = client.app.state.service.store
+    renewed = threading.Event()
+    monkeypatch.setattr(idempotency, "renew", lambda *_: renewed.set())
+    monkeypatch.setattr(idempotency, "LEASE", 0.03)
+    plain = store.add
+
+    def slow(row: Any) -> None:
+        assert renewed.wait(30)
+        plain(row)
+
+    monkeypatch.setattr(store, "add", slow)
+    assert client.post("/v1/models", json=MODEL, headers=named("j")).status_code == 201
+
+
+def test_a_database_that_goes_away_holds_a_request_up_no_longer_than_its_claim(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: Any, **__: Any) -> None:
+        raise OperationalError("INSERT", {}, Exception("gone"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(idempotency, "LEASE", 0.2)
+        patched.setattr(client.app.state.service.store, "add", away)
+        # The release goes the same way: what broke is told all the same.
+        patched.setattr(idempotency, "release", away)
+        answer = client.post("/v1/models", json=MODEL, headers=named("k"))
+        assert (answer.status_code, answer.json()["code"]) == (503, "database-away")
+    end = time.monotonic() + 20
+    while (again := client.post("/v1/models", json=MODEL, headers=named("k"))).status_code == 409:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert again.status_code == 201
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,9 @@ import pytest
 from api.engine import InProcess
 from api.jobs import EXHAUSTED, Runner
 from api.metrics import Metrics
-from api.rows import CANCELLED, DONE, FAILED, QUEUED, RUNNING, JobRow, PosteriorRow, TableRow
+from api.queue import STARTS
+from api.rows import JobRow, PosteriorRow, TableRow
+from api.states import CANCELLED, DONE, FAILED, QUEUED, RUNNING
 from api.store import InUse, Missing, QueueFull, Store, new_id
 from api.work import Outcome
 from fitter.errors import FitError
@@ -150,11 +152,28 @@ def test_dead_process_is_recovered_and_poison_given_up(store: Store, kept: str) 
         claimed = store.claim("here", LEASE)
         assert claimed is not None
         assert claimed.attempt == attempt
+        assert store.begin(claimed, "here")
         assert store.recover(3, EXHAUSTED, everything=True) == (1 if attempt < 3 else 0)
     row = store.get(JobRow, job.id)
     assert row is not None
     assert row.state == FAILED
     assert row.problem == EXHAUSTED
+
+
+@pytest.mark.parametrize("worker", [None, "machine:123"])
+def test_a_server_s_death_is_held_against_no_job_that_ran_elsewhere(
+    store: Store, kept: str, worker: str | None
+) -> None:
+    job = queued(store, kept)
+    for attempt in range(1, 3 * STARTS + 1):
+        claimed = store.claim("here", LEASE)
+        assert claimed is not None
+        assert worker is None or store.begin(claimed, worker)
+        assert store.recover(3, EXHAUSTED, everything=True) == (1 if attempt < 3 * STARTS else 0)
+    row = store.get(JobRow, job.id)
+    assert row is not None
+    # Started again, but not without end.
+    assert (row.state, row.losses, row.problem) == (FAILED, 0, EXHAUSTED)
 
 
 def test_cancelled_job_of_a_dead_process_is_not_run_again(store: Store, kept: str) -> None:
@@ -244,7 +263,13 @@ def test_over_http(serving: Any, table_bytes: bytes) -> None:
     with client.stream("GET", f"{here}/events") as stream:
         lines = list(stream.iter_lines())
     assert stream.headers["content-type"].startswith("text/event-stream")
-    assert "event: cancelled" in lines
+    assert [line for line in lines if line.startswith(("id", "event"))] == [
+        "event: progress", "id: 1", "event: cancelled", "id: 2",
+    ]  # fmt: skip
+    replayed = client.get(f"{here}/events", headers={"Last-Event-ID": "1"}).text
+    assert "id: 2" in replayed
+    assert "id: 1" not in replayed
+    assert client.get(f"{here}/events", headers={"Last-Event-ID": "x"}).status_code == 422
     missing = client.get(f"/v1/jobs/{'0' * 32}/events")
     assert missing.headers["content-type"] == "application/problem+json"
 
@@ -252,3 +277,17 @@ def test_over_http(serving: Any, table_bytes: bytes) -> None:
 def test_finished_job_can_not_be_cancelled(client: Any, job: dict[str, Any]) -> None:
     answer = client.post(f"/v1/jobs/{job['id']}/cancel")
     assert (answer.status_code, answer.json()["code"]) == (409, "job-finished")
+
+
+@pytest.mark.parametrize(("begun", "losses"), [(True, 1), (False, 0)])
+def test_a_worker_s_death_is_held_against_the_job_it_was_at(
+    store: Store, kept: str, begun: bool, losses: int
+) -> None:
+    queued(store, kept)
+    claimed = store.claim("here", LEASE)
+    assert claimed is not None
+    assert not begun or store.begin(claimed, "machine:123")
+    assert store.give_back(claimed, 3, EXHAUSTED)
+    row = store.get(JobRow, claimed.id)
+    assert row is not None
+    assert (row.state, row.losses) == (QUEUED, losses)

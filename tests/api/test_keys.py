@@ -19,6 +19,7 @@ from fitter.cli import main
 from fitter.errors import SpecError
 
 from .conftest import listening, small_table
+from .test_scenes import small
 
 
 class Guarded:
@@ -85,7 +86,7 @@ def test_scopes(guarded: Guarded, anns: dict[str, str]) -> None:
         (f"/v1/models/{anns['models']}/evaluate", pairs), (f"/v1/tables/{anns['tables']}/evaluate", pairs),
         (f"/v1/models/{anns['models']}/sample", draws), (f"/v1/tables/{anns['tables']}/samples", draws),
         (f"/v1/models/{anns['models']}/albedo", {"wi": [0, 0, 1]}),
-        (f"/v1/models/{anns['models']}/pdf", pairs),
+        (f"/v1/models/{anns['models']}/pdf", pairs), ("/v1/scenes/plan", {"scene": small()}),
     ):  # fmt: skip
         assert client.post(path, json=sent, headers=reader).status_code == 200
     wanted = {"table": anns["tables"], "model": "oren_nayar"}
@@ -136,9 +137,10 @@ def test_another_owner_s_things_are_not_there(guarded: Guarded, anns: dict[str, 
         ("/v1/tradeoffs", {"table": anns["tables"], "models": ["ward"]}),
     ):  # fmt: skip
         assert client.post(path, json=wanted, headers=bob).status_code == 404
-    for path in ("/v1/tables", "/v1/jobs", "/v1/fits", "/v1/models", "/v1/tradeoffs"):
-        assert client.get(path, headers=bob).json()["total"] == 0
-        assert client.get(path, headers=guarded.headers("ann", "read")).status_code == 200
+    for path in ("tables", "jobs", "fits", "models", "posteriors", "calibrations", "tradeoffs", "scenes"):
+        assert client.get(f"/v1/{path}", headers=bob).json()["total"] == 0
+        seen = client.get(f"/v1/{path}", headers=guarded.headers("ann", "read")).json()
+        assert (seen["total"] > 0) == (path in anns), path
     everything = client.get("/v1/tables", headers=guarded.headers("root", "admin")).json()["items"]
     assert anns["tables"] in [one["id"] for one in everything]
 

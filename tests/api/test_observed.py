@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import logging
+import time
 from collections.abc import Iterator
 from typing import Any
 
+import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -27,6 +29,21 @@ def test_ids_come_and_go(client: Any) -> None:
         found = client.get("/healthz", headers={"x-request-id": bad}).headers["x-request-id"]
         assert found != bad
         assert len(found) == 32
+
+
+def test_what_the_server_took_is_told_apart_from_the_sending(address: str, model: str) -> None:
+    body = b'{"wi": [0, 0, 1], "wo": [0, 0, 1]}'
+
+    def slowly() -> Iterator[bytes]:
+        yield body[:9]
+        time.sleep(0.3)
+        yield body[9:]
+
+    answer = httpx.post(f"{address}/v1/models/{model}/evaluate", content=slowly())
+    assert answer.status_code == 200
+    parts = dict(part.strip().split(";dur=") for part in answer.headers["server-timing"].split(","))
+    assert float(parts["receive"]) >= 250
+    assert float(parts["app"]) > 0
 
 
 def test_what_is_done_is_counted(client: Any, table_bytes: bytes, table: str, fit: str, model: str) -> None:

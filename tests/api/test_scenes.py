@@ -55,3 +55,27 @@ def test_bad_scenes(client: Any) -> None:
             assert answer.headers["content-type"] == "application/problem+json"
     for part in ("", "/picture.exr", "/picture.png"):
         assert client.get(f"/v1/scenes/{'0' * 32}{part}").status_code == 404
+
+
+def test_two_pictures_are_compared(client: Any, model: str, wait: Callable[..., dict[str, Any]]) -> None:
+    """The numbers are those of their pixels, and noise explains what only the seed makes different."""
+    scene = small(materials={"floor": {"fit": model}, "ball": {"fit": model}}, channels=["R", "G", "B"])
+    grey = small()
+    made: list[str] = []
+    for one, seed in ((scene, 1), (scene, 2), (grey, 1)):
+        started = client.post("/v1/scenes/render", json={"scene": one, "samples": 8, "seed": seed})
+        made.append(wait(client, started.headers["location"])["results"][0]["id"])
+    first, second, other = made
+    same = client.get(f"/v1/scenes/{first}/difference/{first}").json()
+    assert [one["error"] for one in same["numbers"]] == [0.0, 0.0, 0.0]
+    found = client.get(f"/v1/scenes/{first}/difference/{second}").json()
+    assert found["reference"] == client.get(f"/v1/scenes/{first}").json()["reference"]
+    for one in found["numbers"]:
+        assert 0 < one["error"] < 3 * one["noise"]
+        assert abs(one["bias"]) < one["error"]
+    strip = client.get(f"/v1/scenes/{first}/difference/{second}/picture.png")
+    assert strip.headers["content-type"] == "image/png"
+    assert int.from_bytes(strip.content[16:20], "big") == 3 * 16 + 4  # the width in the PNG's header
+    refused = client.get(f"/v1/scenes/{first}/difference/{other}")
+    assert (refused.status_code, refused.json()["code"]) == (409, "pictures-differ")
+    assert client.get(f"/v1/scenes/{first}/difference/{'0' * 32}").status_code == 404

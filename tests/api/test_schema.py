@@ -36,8 +36,8 @@ CHECKS = [
 ]  # fmt: skip
 #: Cases for each operation and mode.
 CASES = 5
-#: Hypothesis blames a strategy for whatever moves Python's global generator while it draws. The service's own threads
-#: run beside it, and what they call may use that generator: seen once in some fifty runs.
+#: Hypothesis blames a strategy for whatever moves Python's global generator while it draws. The service's own
+#: threads run beside it, and what they call may use that generator: seen once in some fifty runs.
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 
 

@@ -33,6 +33,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     for row in rows:
+        if not row["others"]:
+            found.append(f"| {row['case']} | {_figure(row['ours'])} | | | | |")
         for k, other in enumerate(row["others"]):
             cpu = other.get("cpu_advantage")
             cells = [

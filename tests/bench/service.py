@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import random
 import socket
@@ -15,13 +16,15 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+import httpx
 import numpy as np
 import psutil
 
 import fitter
-from api.client import Client, Refused, ServiceFailed
+from api.client import NPY, Client, Refused, ServiceFailed
 from fitter import datasets
 from tests.bench.machine import ROOT
 from tests.bench.measuring import Figure, Row, Size, alternate
@@ -29,6 +32,8 @@ from tests.bench.measuring import Figure, Row, Size, alternate
 SEED = 9
 #: Of these at once; each asks for one thing after the other.
 CLIENTS, SECONDS = 64, 60.0
+#: Bytes that the server may grow by during an upload, of whatever size.
+GROWTH = 64 << 20
 
 
 @contextmanager
@@ -64,7 +69,7 @@ def run(size: Size) -> Iterator[Row]:
         folder = Path(name)
         with served(folder) as (url, process), Client(url) as client:
             yield _evaluation(client, size)
-            yield _upload(client, folder, size)
+            yield from _uploads(client, process, folder, size)
             yield _load(url, process, size)
 
 
@@ -76,26 +81,46 @@ def _evaluation(client: Client, size: Size) -> Row:
     values = {"kd": [0.1, 0.2, 0.3], "ks": 0.05, "alpha": 0.2}
     model = fitter.models.create("ward", **values)
     id = client.create_model("ward", **values).id
+    sent = io.BytesIO()
+    np.save(sent, np.stack([wi, wo]), allow_pickle=False)
+    receiving: list[float] = []
+    working: list[float] = []
+
+    def served() -> Any:
+        headers = {"Content-Type": NPY, "Accept": NPY}
+        path = f"/v1/models/{id}/evaluate"
+        answer = client.request("POST", path, content=sent.getvalue(), headers=headers)
+        spent = _spent(answer)
+        receiving.append(spent["receive"])
+        working.append(spent["app"])
+        return np.load(io.BytesIO(answer.content))
+
     times = alternate(
-        {
-            "served": lambda: client.evaluate("models", id, wi, wo),
-            "bare": lambda: np.asarray(model.evaluate(wi, wo)),
-        },
-        size.pick(30, 3),
+        {"served": served, "bare": lambda: np.asarray(model.evaluate(wi, wo))}, size.pick(30, 3)
     )
     assert np.array_equal(times["served"].result, times["bare"].result)
     return Row(
         case=f"evaluate {len(wi):,} pairs of a Ward model over HTTP, binary",
-        ours=times["served"].seconds("POST /v1/models/ID/evaluate"),
+        # The first call compiles.
+        ours=Figure.of("the server, once it has the request", "s", working[1:]),
         others=(times["bare"].seconds("floor: the bare library call"),),
+        facts={
+            "receiving_seconds": median(receiving[1:]), "client_seconds": median(times["served"].wall),
+            "bytes_in": len(sent.getvalue()), "bytes_out": times["served"].result.nbytes,
+        },
         seed=SEED,
-    )
+    )  # fmt: skip
 
 
-def _upload(client: Client, folder: Path, size: Size) -> Row:
-    n = size.pick((90, 90, 180), (10, 10, 20))
-    rng = np.random.default_rng(SEED)
-    content = struct.pack("<3i", *n) + rng.lognormal(-1, 1, 3 * n[0] * n[1] * n[2]).tobytes()
+def _uploads(client: Client, process: psutil.Process, folder: Path, size: Size) -> Iterator[Row]:
+    """A MERL file: what is sent, and what the whole request takes; the server's memory with larger ones."""
+    content = _merl(size.pick(90, 10))
+    receiving: list[float] = []
+    working: list[float] = []
+
+    def served() -> None:
+        for name, spent in _spent(client.request("POST", "/v1/tables", content=content)).items():
+            {"receive": receiving, "app": working}[name].append(spent)
 
     def write() -> None:
         with (folder / "plain").open("wb") as file:
@@ -103,14 +128,59 @@ def _upload(client: Client, folder: Path, size: Size) -> Row:
             file.flush()
             os.fsync(file.fileno())
 
-    times = alternate({"served": lambda: client.upload(content), "write": write}, size.pick(7, 2))
-    return Row(
-        case=f"upload a MERL file of {len(content) / 1e6:.0f} MB",
-        ours=times["served"].rate("POST /v1/tables, B/s", len(content)),
-        others=(times["write"].rate("floor: writing it to the disk, B/s", len(content)),),
-        facts={"bytes": len(content)},
+    times = alternate({"served": served, "write": write}, size.pick(7, 2))
+    floor = times["write"].rate("floor: writing it to the disk, B/s", len(content))
+    what = f"upload a MERL file of {len(content) / 1e6:.0f} MB"
+    rates = [len(content) / spent for spent in receiving[1:]]
+    yield Row(
+        case=f"{what}: received, hashed, written", ours=Figure.of("the server, B/s", "1/s", rates),
+        others=(floor,), facts={"bytes": len(content)}, seed=SEED,
+    )  # fmt: skip
+    yield Row(
+        case=f"{what}: also read, described and packed",
+        ours=times["served"].rate("POST /v1/tables, B/s", len(content)), others=(floor,),
+        facts={"bytes": len(content), "reading_seconds": median(working[1:])}, seed=SEED,
+    )  # fmt: skip
+    sizes = [_merl(n) for n in size.pick((45, 90, 180), (10,))]
+    grown = {len(sent): _growth(client, process, sent) for sent in sizes}
+    assert max(grown.values()) < GROWTH, grown
+    rate = max(grown.values()) / max(grown)
+    yield Row(
+        case=f"the server's memory during an upload of {max(grown) / 1e6:.0f} MB, of its size",
+        ours=Figure("resident bytes more than before", "ratio", rate, rate, rate, len(grown)),
+        facts={"grown_bytes_by_size": {str(sent): most for sent, most in grown.items()}, "bound": GROWTH},
         seed=SEED,
-    )
+    )  # fmt: skip
+
+
+def _merl(n: int) -> bytes:
+    dims = (n, 90, 180)
+    rng = np.random.default_rng(SEED)
+    return struct.pack("<3i", *dims) + rng.lognormal(-1, 1, 3 * n * 90 * 180).tobytes()
+
+
+def _spent(answer: httpx.Response) -> dict[str, float]:
+    """Seconds, as the server tells them: until it had the request, and from then on."""
+    told = dict(part.strip().split(";dur=") for part in answer.headers["server-timing"].split(","))
+    return {name: 1e-3 * float(milliseconds) for name, milliseconds in told.items()}
+
+
+def _growth(client: Client, process: psutil.Process, content: bytes) -> int:
+    """By how many bytes the server is larger, at most, while it takes an upload."""
+    before = most = process.memory_info().rss
+    done = threading.Event()
+
+    def look() -> None:
+        nonlocal most
+        while not done.wait(0.005):
+            most = max(most, process.memory_info().rss)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    client.delete_table(client.upload(content).id)
+    done.set()
+    looking.join()
+    return most - before
 
 
 def _load(url: str, process: psutil.Process, size: Size) -> Row:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import httpx
 from api.blobs import Blobs
 from api.place import Place
 from api.results import Results
-from api.rows import FINAL, CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow, TradeoffRow
+from api.rows import CalibrationRow, JobRow, ModelRow, PosteriorRow, TableRow, TradeoffRow
+from api.states import FINAL
 from api.storage import open_storage
 from api.store import Store
 from tests.evidence.faults_load import Accepted
@@ -27,20 +28,22 @@ def everything(accepted: Accepted, url: str, place: Place) -> tuple[Counter[str]
     """Jobs by how they ended, and what is wrong. The server still runs, and nothing is in flight."""
     store = Store(place.database)
     try:
-        ended, wrong = _jobs(accepted, url, store)
-        wrong += _tables(accepted, url, store, Blobs(open_storage(place.storage), place.folder))
+        with httpx.Client(base_url=url, timeout=60) as client:
+            ended, wrong = _jobs(accepted, client, store)
+            wrong += _tables(accepted, client, store, Blobs(open_storage(place.storage), place.folder))
         wrong += _events(accepted, store)
+        wrong += [{"what": "a request was refused", **one} for one in accepted.refused]
     finally:
         store.close()
     return ended, wrong
 
 
-def _jobs(accepted: Accepted, url: str, store: Store) -> tuple[Counter[str], list[Violation]]:
-    """Every job in the database, known to a client or not: its answer may have been lost."""
+def _jobs(accepted: Accepted, client: httpx.Client, store: Store) -> tuple[Counter[str], list[Violation]]:
+    """Every job in the database."""
     ended: Counter[str] = Counter()
     wrong: list[Violation] = []
     jobs = {job.id: job for job in _all(store, JobRow)}
-    wrong += [{"what": "an accepted job is gone", "job": id} for id in accepted.jobs if id not in jobs]
+    wrong += _both("job", accepted.jobs, jobs)
     made: dict[str, list[str]] = {}
     for kind in (ModelRow, PosteriorRow, TradeoffRow, CalibrationRow):
         for row in _all(store, kind):
@@ -58,16 +61,28 @@ def _jobs(accepted: Accepted, url: str, store: Store) -> tuple[Counter[str], lis
             wrong.append({"what": "not published exactly once", **found})
         for one in told:
             where = "fits" if job.kind == "fit" else "posteriors"
-            answer = httpx.get(f"{url}/v1/{where}/{one}", timeout=60)
+            answer = client.get(f"/v1/{where}/{one}")
             if answer.status_code != 200 or answer.json()["id"] != one:
                 wrong.append({"what": "a result can't be read", "job": id, "answer": answer.text[:300]})
     return ended, wrong
 
 
-def _tables(accepted: Accepted, url: str, store: Store, blobs: Blobs) -> Iterator[Violation]:
+def _both(noun: str, accepted: Iterable[str], there: Iterable[str]) -> list[Violation]:
+    """What was accepted is there, and nothing else: no request was lost, and none made two things."""
+    said, found = set(accepted), set(there)
+    gone, untold = f"an accepted {noun} is gone", f"no request was told of a {noun}"
+    return [
+        *({"what": gone, noun: id} for id in sorted(said - found)),
+        *({"what": untold, noun: id} for id in sorted(found - said)),
+    ]
+
+
+def _tables(accepted: Accepted, client: httpx.Client, store: Store, blobs: Blobs) -> Iterator[Violation]:
+    rows = {row.id: row for row in _all(store, TableRow)}
+    yield from _both("table", accepted.tables, rows)
     for id, sha256 in accepted.tables.items():
-        row = store.get(TableRow, id)
-        answer = httpx.get(f"{url}/v1/tables/{id}/slices?theta_i_deg=20&n=2", timeout=60)
+        row = rows.get(id)
+        answer = client.get(f"/v1/tables/{id}/slices?theta_i_deg=20&n=2")
         if row is None or answer.status_code != 200:
             yield {"what": "an accepted table can't be read", "table": id, "answer": answer.text[:300]}
         elif not row.sha256 == sha256 == hashlib.sha256(blobs.read(sha256)).hexdigest():

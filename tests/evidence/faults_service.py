@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Generator
 from pathlib import Path
@@ -77,14 +78,25 @@ def small_disk(folder: Path) -> Generator[bool]:
 
 @contextlib.contextmanager
 def full(folder: Path) -> Generator[None]:
-    """Not a byte left on the folder's disk."""
+    """Not a byte left on the folder's disk, and whatever is given up meanwhile is taken at once."""
     ballast = folder / "ballast"
+    over = threading.Event()
+
+    def fill() -> None:
+        with ballast.open("wb", buffering=0) as file:
+            while not over.wait(0.002):
+                for size in (1 << 16, 1 << 12):
+                    with contextlib.suppress(OSError):
+                        while file.write(bytes(size)) == size:
+                            pass
+
+    filling = threading.Thread(target=fill)
+    filling.start()
     try:
-        with contextlib.suppress(OSError), ballast.open("wb", buffering=0) as file:
-            while True:
-                file.write(bytes(1 << 16))
         yield
     finally:
+        over.set()
+        filling.join()
         ballast.unlink()
 
 

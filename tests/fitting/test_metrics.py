@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +15,7 @@ from fitter.fitting import metrics
 from fitter.fitting.measures import measures
 from fitter.fitting.samples import usable
 from fitter.grid import Grid
-from fitter.spec import Select
+from fitter.spec import Metric, Select
 from tests.fitting.conftest import TRUTHS, scattered
 from tests.fitting.test_fit import pull
 
@@ -71,6 +73,24 @@ def test_measures_integrate(grid, function, mean):
     found = np.average(function(*table.directions(index)), weights=weight)
     # A cell on the horizon is in or out as a whole.
     assert found == pytest.approx(mean, rel=0.03)
+
+
+@pytest.mark.parametrize("metric", get_args(Metric))
+def test_the_slope_is_the_residual_s(metric):
+    """Where it is not, passes end beside the optimum."""
+    rng = np.random.default_rng(0)
+    f, y = 10.0 ** rng.uniform(-7, 3, (2, 1000, 1))
+    w, e = 10.0 ** rng.uniform(-6, 3, (1000, 1)), np.array([1e-3])
+    f[:10] = 0.0
+    goal = jnp.asarray(metrics.target(metric, y, w, e))
+
+    def total(f: jax.Array) -> jax.Array:
+        return metrics.residual(metric, f, goal, jnp.asarray(w), jnp.asarray(e)).value.sum()
+
+    expected = jax.grad(total)(jnp.asarray(f))
+    slope = metrics.residual(metric, jnp.asarray(f), goal, jnp.asarray(w), jnp.asarray(e)).slope
+    above = f > 0 if metric in metrics.POSITIVE else np.full(f.shape, True)
+    np.testing.assert_allclose(np.asarray(slope)[above], np.asarray(expected)[above], rtol=1e-6)
 
 
 def scans(seed: int = 0, count: int = 300) -> tuple[np.ndarray, np.ndarray]:
