@@ -17,18 +17,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter import directions
 from fitter._version import __version__
 from fitter.errors import FitError, SpecError
 from fitter.export.fidelity import compared_pairs
 from fitter.export.subject import Subject, plain
 from fitter.formats.output import write_aside
 from fitter.formats.registry import Loss
+from fitter.formats.tensor_tree import disk_from_square
 
 FloatArray = NDArray[np.float64]
 #: Coordinates of points in pairs of patches, each even in [0, 1): (M, 2) incident, (M, 2) outgoing -> wi, wo.
 Place = Callable[[NDArray[np.intp], FloatArray], tuple[FloatArray, FloatArray]]
 
+#: f_r (M, C) of wi, wo (M, 3), and where it was not measured.
+There = Callable[[FloatArray, FloatArray], tuple[FloatArray, NDArray[np.bool_]]]
+
 _CHUNK = 1 << 19
+#: Incidences in degrees that reflectances are compared at, and points of the hemisphere on a side.
+_THETA, _PHI, _ACROSS = (0, 20, 45, 60, 70), (30, 100), 128
 
 
 def radiance() -> Any:
@@ -88,6 +95,33 @@ def wrapped(subject: Subject, path: Path, basis: str, data: bytes) -> None:
     if not made.strip():
         raise FitError("Radiance's wrapBSDF wrote nothing", code="radiance-failed")
     write_aside(path, [made])
+
+
+def reflectance(subject: Subject, there: There) -> Loss:
+    """How far the directional-hemispherical reflectance of the file is from the source's, up to 70 deg."""
+    theta, phi = (c.reshape(-1) for c in np.meshgrid(np.deg2rad(_THETA), np.deg2rad(_PHI)))
+    wi = directions.vector_from_spherical(theta, phi)
+    across = (np.arange(_ACROSS) + 0.5) / _ACROSS
+    square = np.stack([c.reshape(-1) for c in np.meshgrid(across, across)], axis=1)
+    disk = disk_from_square(square)
+    # Even over the disk is even in projected solid angle.
+    wo = np.concatenate([disk, np.sqrt(1.0 - (disk * disk).sum(axis=1))[:, None]], axis=1)
+
+    def whole(function: There) -> FloatArray:
+        return np.array([
+            np.pi * np.maximum(function(np.tile(w, (len(wo), 1)), wo)[0][:, 0], 0.0).mean() for w in wi
+        ])  # fmt: skip
+
+    found = whole(there)
+    source = whole(subject.evaluate) if subject.model is None else np.asarray(subject.model.albedo(wi))[:, 0]
+    change = np.abs(found - source) / np.maximum(source, np.finfo(float).tiny)
+    most = int(change.argmax())
+    return Loss(
+        "reflectance",
+        f"The hemispherical reflectance in the file differs from the source's by {change.mean():.1%} on "
+        f"average of {len(wi)} incidences to {_THETA[-1]} deg, and by {change[most]:.1%} at most, at "
+        f"{np.rad2deg(theta[most]):.0f} deg.",
+    )
 
 
 def reciprocity(subject: Subject, path: Path) -> Loss:

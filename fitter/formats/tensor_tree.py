@@ -59,7 +59,7 @@ def sniff(head: bytes, size: int) -> float:
 def read(source: Source, options: ReadOptions) -> list[Table]:
     """A table for each layer and side that reflects, its samples at the patches' centres."""
     layers, notes = layers_of(source)
-    sides = by_side(source, layers, lambda layer, block: _tree(source, layer, block))
+    sides = by_side(source, layers, lambda layer, block: tree_of(source, layer, block))
     return [
         _table(source, options, layer, side, trees, item_of(layer, side, sides), notes)
         for layer, side, trees in sides
@@ -69,7 +69,7 @@ def read(source: Source, options: ReadOptions) -> list[Table]:
 FORMAT = Format(NAME, "WINDOW BSDF XML, tensor trees (Radiance's bsdf2ttree)", (), sniff, read)
 
 
-def _tree(source: Source, layer: Layer, block: Block) -> Tree:
+def tree_of(source: Source, layer: Layer, block: Block) -> Tree:
     """The tree of one block."""
     rank = _RANKS.get(layer.structure.lower())
     if rank is None:

@@ -40,7 +40,7 @@ def write(subject: Subject, path: Path) -> Written:
         return found[:, None], np.zeros(len(wi), bool)
 
     distance = of_function(subject, there, "patch by patch")
-    return Written((note, distance, patches.reciprocity(subject, path)))
+    return Written((note, distance, patches.reflectance(subject, there), patches.reciprocity(subject, path)))
 
 
 def _patch(w: FloatArray) -> NDArray[np.intp]:

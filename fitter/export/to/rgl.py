@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import SpecError
-from fitter.export.fidelity import fidelity, of_function
+from fitter.export.fidelity import of_function
 from fitter.export.half_vectors import HalfVectors
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
@@ -26,8 +26,18 @@ FloatArray = NDArray[np.float64]
 
 def write(subject: Subject, path: Path) -> Written:
     if subject.table is not None:
-        return Written((*rgl_writer.write_rgl(subject.table, path), fidelity(subject, path)))
+        losses = rgl_writer.write_rgl(subject.table, path)
+        return Written((*losses, _fidelity(subject, path, _order(subject))))
     return _write_model(subject, path)
+
+
+def _order(subject: Subject) -> list[int]:
+    """Which channel of the subject each of the file's is."""
+    count = len(subject.channels)
+    order = [0, 0, 0] if count == 1 else list(range(count))
+    if all(channel.wavelength_nm is not None for channel in subject.channels):
+        order = sorted(range(count), key=lambda k: subject.channels[k].wavelength_nm or 0.0)
+    return order
 
 
 def _write_model(subject: Subject, path: Path) -> Written:
@@ -38,9 +48,7 @@ def _write_model(subject: Subject, path: Path) -> Written:
             f"an RGL file holds RGB or a spectrum, and the model has {count} channels without wavelengths",
             code="export-channels", parameter="channels", remedy="choose one or three with --channels",
         )  # fmt: skip
-    order = list(range(count)) if spectral or count == 3 else [0, 0, 0]
-    if spectral:
-        order.sort(key=lambda k: subject.channels[k].wavelength_nm or 0.0)
+    order = _order(subject)
     layout = HalfVectors(subject)
     adaptive, drawn, above = layout.sampled(layout.chosen())
     stored = replace(adaptive, data=adaptive.data[:, order])

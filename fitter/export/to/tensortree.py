@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.export import patches, sampling
-from fitter.export.fidelity import fidelity
+from fitter.export import patches, sampling, tree
+from fitter.export.fidelity import of_function
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
 from fitter.formats.tensor_tree import disk_from_square
@@ -16,9 +16,10 @@ from fitter.formats.tensor_tree import disk_from_square
 FloatArray = NDArray[np.float64]
 
 #: Halvings of each side, and points a cell, of isotropic and anisotropic subjects.
-_ISOTROPIC, _ANISOTROPIC = (6, 16), (4, 16)
-#: Share (percent) of the leaves that Radiance is to cull, as its genBSDF does by default.
-_CULL = 90
+_ISOTROPIC, _ANISOTROPIC = (6, 16), (5, 8)
+#: Share (percent) of the leaves that Radiance is to cull: as its genBSDF does by default, and less of a tree
+#: that is coarse anyway, whose reflectance would change by several percent.
+_CULL_ISOTROPIC, _CULL_ANISOTROPIC = 90, 60
 
 
 def write(subject: Subject, path: Path) -> Written:
@@ -40,12 +41,18 @@ def write(subject: Subject, path: Path) -> Written:
         return _raised(-travel), _raised(disk_from_square((cell[:, -2:] + at[:, 2:]) / n))
 
     values, note = patches.averages(subject, shape, place, points)
+    cull = _CULL_ISOTROPIC if isotropic else _CULL_ANISOTROPIC
     reduced = tools.util.rttree_reduce(
-        values.astype("<f4").tobytes(), len(shape), level, pctcull=_CULL, inform="f", header=False
+        values.astype("<f4").tobytes(), len(shape), level, pctcull=cull, inform="f", header=False
     )
     patches.wrapped(subject, path, f"t{len(shape)}", reduced)
-    distance = fidelity(subject, path, "patch by patch")
-    return Written((note, distance, patches.reciprocity(subject, path)))
+    value = tree.reader(path, isotropic)
+
+    def there(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        return value(wi, wo)[:, None], np.zeros(len(wi), bool)
+
+    distance = of_function(subject, there, "patch by patch")
+    return Written((note, distance, patches.reflectance(subject, there), patches.reciprocity(subject, path)))
 
 
 def _raised(disk: FloatArray) -> FloatArray:
