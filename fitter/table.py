@@ -152,7 +152,7 @@ class Table:
         copy: bool = True,
     ) -> None:
         self.metadata = metadata or Metadata()
-        #: Seconds that :func:`fitter.load` took to read it; None where nobody knows.
+        #: Seconds that reading it took, of several tables of one source its share; None where nobody knows.
         self.load_seconds: float | None = None
         #: What lies between the samples where the file says so itself (adaptive parameterisations).
         self.between: Interpolant | None = None

@@ -72,7 +72,6 @@ def load(
     TableError : the bytes are no table, or not one that can be read without being told more.
     SpecError : an option outside its vocabulary.
     """
-    begun = time.perf_counter()
     tables = load_all(
         source, quantity=quantity, convention=convention, item=item, columns=columns, negatives=negatives,
         duplicates=duplicates, fills=fills, name=name,
@@ -85,7 +84,6 @@ def load(
             file=_name_of(source, name), parameter="item",
             remedy=f"choose one with item={labels[0]!r} or item=0, or use load_all",
         )  # fmt: skip
-    tables[0].load_seconds = time.perf_counter() - begun
     return tables[0]
 
 
@@ -111,6 +109,7 @@ def load_all(
     TableError : a file is no table (the error names it), or nothing is there to read.
     NoTable : all that is there was understood and holds no BRDF. Beside tables it is left out, with a note.
     """
+    begun = time.perf_counter()
     options = ReadOptions(
         quantity=quantity, convention=convention, item=item, columns=columns or (),  # type: ignore[arg-type]
         negatives=negatives, duplicates=duplicates, fills=fills, name=name,
@@ -156,6 +155,8 @@ def load_all(
         tables = [_select(tables, item, _name_of(source, name))]
     if inner and name is not None and len(tables) == 1:
         tables[0].metadata = replace(tables[0].metadata, name=name)
+    for table in tables:
+        table.load_seconds = (time.perf_counter() - begun) / len(tables)
     return tables
 
 

@@ -19,7 +19,7 @@ KIND = "brdf-fitter/bench"
 GROUPS = {
     "load": "loading", "evaluate": "evaluation", "fit": "fits", "posterior": "posteriors",
     "sampler": "samplers", "compression": "compressions", "report": "reports", "budget": "budgets",
-    "service": "service", "page": "browsing",
+    "service": "service", "page": "browsing", "batch": "batches",
 }  # fmt: skip
 
 
