@@ -16,6 +16,7 @@ const main = document.getElementById("main");
 const nav = document.getElementById("panels");
 const sections = {};
 let named = null;
+let last = null;
 
 for (const [name, [title]] of Object.entries(PANELS)) {
   sections[name] = el("section", { id: `panel-${name}`, "aria-label": title, hidden: true });
@@ -39,6 +40,9 @@ function show(now) {
   document.title = `${PANELS[name][0]} – brdf-fitter`;
   try {
     PANELS[name][1].show(sections[name], now);
+    // Something may have been made meanwhile.
+    if (last !== name) PANELS[name][1].reopened?.(now);
+    last = name;
   } catch (error) {
     sections[name].replaceChildren(problem(error));
   }

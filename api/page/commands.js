@@ -27,6 +27,8 @@ function fitting(job) {
   const words = [];
   if (wanted.model === "auto") {
     words.push("--model auto");
+    const ranking = job.results.find((one) => one.kind === "selection")?.ranking;
+    if (wanted.candidates && ranking) words.push(`--candidates ${ranking.map((one) => quoted(one.model)).join(",")}`);
     if (wanted.folds) words.push(`--folds ${wanted.folds}`);
   } else {
     const names = job.results.filter((one) => one.kind === "fit").map((one) => one.model);

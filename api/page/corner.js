@@ -2,7 +2,7 @@
 
 import { el, facts, field, fill, grid, number, select } from "./dom.js";
 import { start } from "./events.js";
-import { get } from "./http.js";
+import { get, recordStarted } from "./http.js";
 import { COLOURS, draw, figure } from "./plots.js";
 import { watchJob } from "./progress.js";
 import { set } from "./state.js";
@@ -39,6 +39,8 @@ function asking(box, fit) {
 
 async function shown(id, fit, now) {
   const posterior = await get(`/v1/posteriors/${id}`, { panel: "fit" });
+  const { request } = await get(posterior.links.job);
+  recordStarted("fit", "/v1/posteriors", [{ fit: request.fit, ...request.spec }]);
   const channels = fit.model.channels;
   const channel = channels.includes(now.channel) ? now.channel : channels[0];
   const of = (label) => !label.includes("[") || label.endsWith(`[${channel}]`);

@@ -3,7 +3,7 @@
 import { button, card, el, field, fill, problem, select } from "./dom.js";
 import { start } from "./events.js";
 import { jobsOf, requestOf } from "./fits.js";
-import { forget, get } from "./http.js";
+import { forget, get, recordStarted } from "./http.js";
 import { watchJob } from "./progress.js";
 import { results } from "./results.js";
 import { set, state } from "./state.js";
@@ -83,6 +83,7 @@ async function run(id) {
   const { progress } = parts;
   try {
     const job = await get(`/v1/jobs/${id}`, { panel: "fit" });
+    recordStarted("fit", "/v1/fits", [requestOf(job)]);
     const done = await watchJob(progress, job, title(job), stopping.signal);
     progress.replaceChildren(el("p", { class: "quiet" }, `${title(done)}: done.`), again(done));
     earlier(done.table);

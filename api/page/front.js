@@ -2,7 +2,8 @@
 
 import { el, field, fill, number, seconds } from "./dom.js";
 import { start } from "./events.js";
-import { get } from "./http.js";
+import { given } from "./fits.js";
+import { get, recordStarted } from "./http.js";
 import { COLOURS, MARKS, draw, figure, scaledAxis } from "./plots.js";
 import { watchJob } from "./progress.js";
 import { scale } from "./scales.js";
@@ -33,6 +34,8 @@ function asking(box, job, fits) {
 
 async function shown(id, fit) {
   const found = await get(`/v1/tradeoffs/${id}`, { panel: "fit" });
+  const job = await get(found.links.job);
+  recordStarted("fit", "/v1/tradeoffs", [{ table: job.table, ...given(job.request.spec) }]);
   const points = found.points.filter((point) => point.settings.solver && point.errors.held_out !== null && point.seconds.median > 0);
   const { figure: made, box: plot } = figure("Each point is a fit at one effort; the line is the front");
   setTimeout(() => drawn(plot, points, fit));

@@ -103,6 +103,12 @@ export function record(panel, call) {
   calls.set(name, call);
 }
 
+/** The calls that once started what a reopened link shows, from the requests of their jobs. */
+export function recordStarted(panel, path, requests) {
+  if (recorded(panel).some((call) => call.method === "POST" && call.path === path)) return;
+  for (const json of requests) record(panel, { method: "POST", path, json });
+}
+
 /** The calls of a panel in the order they were made. */
 export const recorded = (panel) => [...(records.get(panel)?.values() || [])];
 

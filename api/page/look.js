@@ -7,7 +7,7 @@ import { drawCoverage, drawHalfDifference } from "./maps.js";
 import { COLOURS, figure } from "./plots.js";
 import { SCALES, inWords } from "./scales.js";
 import { byChannel, drawSlices } from "./slices.js";
-import { set } from "./state.js";
+import { set, state } from "./state.js";
 import { fitsOf } from "./fits.js";
 
 /** Milliseconds between a slider's last move and the request. */
@@ -56,23 +56,43 @@ function build(root, now) {
   return { root: controls, theta, theta_exact, phi, phiField, channel, scaling, slices, overlay, outside, measured, lobe, slice, image, covered, notes };
 }
 
+/** Fits made since are on offer, too. */
+export function reopened(now) {
+  if (parts?.names) beside(now.table);
+}
+
+async function beside(table) {
+  const fits = await fitsOf(table);
+  if (shown.table !== table) return;
+  parts.overlay.replaceChildren(el("option", { value: "" }, "nothing"), ...fits.map((fit) => el("option", { value: fit.id }, `fit: ${fit.model}`)));
+  parts.overlay.value = state().overlay;
+}
+
 async function prepare(now) {
+  const mine = parts;
   await fill(parts.slice.box, "Opening the measurement …", async () => {
     const { description } = await get(`/v1/tables/${now.table}`);
+    if (mine !== parts) return;
     const names = description.channels.map((c) => c.name);
     const colour = ["R", "G", "B"].every((name) => names.includes(name));
     parts.channel.replaceChildren(el("option", { value: "all" }, colour ? "all, as colour" : names.length > 1 ? "all (images: their mean)" : "the only one"), ...(names.length > 1 ? names.map((name) => el("option", { value: name }, name)) : []));
     parts.phiField.hidden = description.symmetry === "isotropic";
     parts.inPlane = description.domain.in_plane;
     parts.measured.replaceChildren(...description.peaks.slice(0, 10).map(({ theta_i_deg: t }) => el("button", { type: "button", onclick: () => set({ theta_i: String(Number(t.toFixed(3))) }) }, `θ_i = ${degrees(t)}`)));
-    const fits = await fitsOf(now.table);
-    parts.overlay.replaceChildren(el("option", { value: "" }, "nothing"), ...fits.map((fit) => el("option", { value: fit.id }, `fit: ${fit.model}`)));
+    await beside(now.table);
+    mine.names = names;
   });
-  whole(now);
-  update(now);
+  if (mine !== parts || !parts.names) return;
+  whole(chosenOf(state()));
+  update(state());
 }
 
-function update(now) {
+/** The state with a channel that this measurement has. */
+const chosenOf = (now) => ({ ...now, channel: parts.names.includes(now.channel) ? now.channel : "all" });
+
+function update(given) {
+  if (!parts.names) return;
+  const now = chosenOf(given);
   const { theta, theta_exact, phi, channel, scaling, slices, overlay, outside } = parts;
   for (const [control, value] of [[theta, now.theta_i], [theta_exact, now.theta_i], [phi, now.phi_i], [channel, now.channel], [scaling, now.scale], [slices, now.slices], [overlay, now.overlay]]) {
     if (control !== document.activeElement || control === theta) control.value = value;

@@ -67,14 +67,20 @@ export async function draw(box, traces, layout, about) {
   if (whole.polar) whole.polar = { bgcolor: "rgba(0,0,0,0)", ...whole.polar };
   // What was said while nothing was drawn yet.
   for (const said of box.querySelectorAll(":scope > p, :scope > .problem")) said.remove();
+  if (!box.isConnected) return;
   for (const other of drawn) {
-    if (other.isConnected) continue;
-    Plotly.purge(other);  // a browser has a few WebGL contexts only
+    if (other.isConnected || other.drawing) continue;
+    Plotly.purge(other); // a browser has a few WebGL contexts only
     drawn.delete(other);
   }
   box.again = () => draw(box, traces, layout, about);
   drawn.add(box);
-  await Plotly.react(box, traces, whole, { responsive: true, displayModeBar: false, displaylogo: false });
+  box.drawing = (box.drawing || 0) + 1;
+  try {
+    await Plotly.react(box, traces, whole, { responsive: true, displayModeBar: false, displaylogo: false });
+  } finally {
+    box.drawing--;
+  }
   box.setAttribute("role", "img");
   box.setAttribute("aria-label", about);
   box.dataset.drawn = String(Number(box.dataset.drawn || 0) + 1);

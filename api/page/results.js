@@ -22,7 +22,7 @@ export function results(box, job, now) {
       return [
         el("h2", {}, "Results"), selection && chosenBy(selection), side(fits),
         ...failed.map((one) => problem({ document: { ...one.problem, title: `${one.model}: ${one.problem.title || "not fitted"}` } })),
-        fits.length ? choice(fits, now) : null, box.places.focus, box.places.front,
+        fits.length ? choice(fits, job, now) : null, box.places.focus, box.places.front,
       ].filter(Boolean);
     });
   } else if (box.fits) focus(box, job, now);
@@ -31,7 +31,8 @@ export function results(box, job, now) {
 function chosenBy(selection) {
   const ranking = selection.ranking || [];
   return card("How the model was chosen", el("ul", {}, (selection.sentences || []).map((text) => el("li", {}, text))),
-    ranking.length ? el("p", { class: "quiet" }, `${ranking.length} candidates were compared.`) : null);
+    grid("Candidates, the best first", ["model", "parameters", "median relative error", "judged on", "as good as the best"],
+      ranking.map((one) => [one.model, number(one.parameters), `${number(100 * one.relative_error, 3)} %`, one.held_out ? "samples held out" : "samples it was fitted to", one.as_good ? "yes" : "no"])));
 }
 
 /** A column for each fit. */
@@ -63,21 +64,22 @@ function estimate(parameter, c) {
   return `${number(value, 4)}${u === null || u === undefined ? "" : ` ± ${number(u, 2)}`}${bound ? ` (at its ${bound} bound)` : ""}`;
 }
 
-/** The fit that was chosen, or the one with the smallest relative error. */
-function inFocus(fits, now) {
+/** The fit that somebody chose, or that "auto" did, or the one with the smallest relative error. */
+function inFocus(fits, job, now) {
   const off = (fit) => fit.metrics.relative_rmse ?? Infinity;
-  return fits.find((one) => one.id === now.fit) || [...fits].sort((a, b) => off(a) - off(b))[0];
+  const auto = job.results.some((one) => one.kind === "selection");
+  return fits.find((one) => one.id === now.fit) || (auto ? fits[0] : [...fits].sort((a, b) => off(a) - off(b))[0]);
 }
 
-function choice(fits, now) {
+function choice(fits, job, now) {
   const radios = fits.map((fit) => el("label", { class: "chip" }, el("input", {
-    type: "radio", name: "focus", value: fit.id, checked: fit === inFocus(fits, now), onchange: () => set({ fit: fit.id, posterior: "" }),
+    type: "radio", name: "focus", value: fit.id, checked: fit === inFocus(fits, job, now), onchange: () => set({ fit: fit.id, posterior: "" }),
   }), ` ${fit.model.name}`));
   return el("fieldset", { class: "row" }, el("legend", {}, "In focus"), radios);
 }
 
 function focus(box, job, now) {
-  const fit = inFocus(box.fits, now);
+  const fit = inFocus(box.fits, job, now);
   if (!fit) return;
   // The other panels and the link mean this one, too.
   if (!now.fit) set({ fit: fit.id });

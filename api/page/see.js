@@ -2,8 +2,8 @@
 
 import { card, el, facts, field, fill, grid, number, problem, select } from "./dom.js";
 import { start } from "./events.js";
-import { fitsOf } from "./fits.js";
-import { forget, get, request } from "./http.js";
+import { fitsOf, given } from "./fits.js";
+import { forget, get, recordStarted, request } from "./http.js";
 import { watchJob } from "./progress.js";
 import { LIGHTS, SHAPES, scene } from "./scenes.js";
 import { set } from "./state.js";
@@ -33,8 +33,16 @@ export function show(root, now) {
   }
 }
 
+/** Fits made since are on offer, too. */
+export async function reopened(now) {
+  if (!parts?.offered || parts.busy) return;
+  const there = (await fitsOf(now.table)).map((one) => one.id).join();
+  if (shown.table === now.table && there !== parts.offered) fill(parts.asked, "", () => asking(now));
+}
+
 async function asking(now) {
   const [fits, table] = await Promise.all([fitsOf(now.table), get(`/v1/tables/${now.table}`)]);
+  parts.offered = fits.map((one) => one.id).join();
   const fit = select([...fits.map((one) => [one.id, `${one.model}, ${new Date(one.created).toLocaleTimeString()}`]), ["", "none: the raw table alone"]], now.fit || fits.find((one) => one.job === now.job)?.id || fits[0]?.id || "");
   const shape = select(SHAPES, now.shape, (value) => set({ shape: value })), light = select(LIGHTS, now.light, (value) => set({ light: value }));
   const samples = select([["4", "4, a sketch"], ["16", "16"], ["64", "64"], ["256", "256, slow"]], "16");
@@ -46,6 +54,7 @@ async function asking(now) {
     stopping?.abort();
     stopping = new AbortController();
     submit.disabled = true;
+    parts.busy = true;
     outcome.replaceChildren();
     parts.progress.replaceChildren();
     const boxes = [el("div", {}), el("div", {})];
@@ -65,6 +74,7 @@ async function asking(now) {
       if (error.name !== "AbortError") outcome.replaceChildren(problem(error));
     }
     submit.disabled = false;
+    parts.busy = false;
   };
   return el("form", { onsubmit: send },
     el("div", { class: "controls" }, field("Fit", fit), field("Shape", shape), field("Light", light), field("Samples a pixel", samples), field("Leave out effects below", tolerance), el("div", { class: "field" }, submit)), outcome);
@@ -74,12 +84,14 @@ async function pictures({ picture, pictured }) {
   const raw = await get(`/v1/scenes/${picture}`, { panel: "see" });
   if (!pictured) {
     const image = await bitmap(`/v1/scenes/${picture}/picture.png`);
+    recordStarted("see", "/v1/scenes/render", [given((await get(raw.links.job)).request)]);
     return [card("Picture", el("div", { class: "pictures" }, cut(image, 0, image.width, "the raw table")), told(raw))];
   }
   const [fit, difference, image] = await Promise.all([
     get(`/v1/scenes/${pictured}`, { panel: "see" }), get(`/v1/scenes/${picture}/difference/${pictured}`, { panel: "see" }), bitmap(`/v1/scenes/${picture}/difference/${pictured}/picture.png`),
   ]);
-  const { request: asked } = await get(fit.links.job);
+  const [{ request: first }, { request: asked }] = await Promise.all([get(raw.links.job), get(fit.links.job)]);
+  recordStarted("see", "/v1/scenes/render", [given(first), given(asked)]);
   const model = (await get(`/v1/models/${asked.scene.materials.sample.fit}`)).name;
   const wide = (image.width - 4) / 3;
   const names = ["the raw table", model, `${model} less table, fourfold around grey`];

@@ -11,6 +11,7 @@ from fastapi import Query, Request, Response
 from api.problems import ProblemDocument
 
 Limit = Annotated[int, Query(ge=1, le=200, description="rows at most")]
+OfTable = Annotated[str | None, Query(max_length=64, description="id: only what was made of this table")]
 Offset = Annotated[int, Query(ge=0, le=2**31 - 1, description="rows to leave out, newest first")]
 
 

@@ -12,7 +12,7 @@ from api.exports import ChosenChannels, draws_responses, respond_draws
 from api.limits import check_posterior
 from api.problems import Problem
 from api.reports import Kind, report
-from api.routes import Limit, Offset, page, problems
+from api.routes import Limit, Offset, OfTable, page, problems
 from api.rows import CalibrationRow, ModelRow, PosteriorRow, TableRow
 from api.starting import Prefer, answers, started
 from fitter.documents import dumps
@@ -76,10 +76,12 @@ async def start_calibration(
 
 @router.get("/fits", response_model=schemas.Page[schemas.FitSummary], responses=problems(422))
 def fits(
-    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0
-) -> dict[str, Any]:
+    request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0,
+    table: OfTable = None,
+) -> dict[str, Any]:  # fmt: skip
     """The finished fits, newest first."""
-    rows, total = here.page(ModelRow, limit, offset, ModelRow.origin == "fit")
+    of_table = () if table is None else (ModelRow.table_id == table,)
+    rows, total = here.page(ModelRow, limit, offset, ModelRow.origin == "fit", *of_table)
     return page(request, response, [documents.fit(row) for row in rows], total, limit, offset)
 
 

@@ -13,7 +13,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from api import documents, schemas
 from api.access import Here
 from api.problems import Problem
-from api.routes import Limit, Offset, page, problems
+from api.routes import Limit, Offset, OfTable, page, problems
 from api.rows import JobRow
 from api.states import DONE, FAILED, FINAL
 
@@ -34,10 +34,12 @@ Job = Annotated[JobRow, Depends(_row)]
 @router.get("", response_model=schemas.Page[schemas.JobDocument], responses=problems(422))
 def jobs(
     request: Request, response: Response, here: Here, limit: Limit = 50, offset: Offset = 0,
-    state: Annotated[State | None, Query()] = None,
+    state: Annotated[State | None, Query()] = None, table: OfTable = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The jobs, newest first."""
-    where = () if state is None else (JobRow.state == state,)
+    where = [] if state is None else [JobRow.state == state]
+    if table is not None:
+        where.append(JobRow.table_id == table)
     rows, total = here.page(JobRow, limit, offset, *where)
     return page(request, response, [documents.job(row) for row in rows], total, limit, offset)
 

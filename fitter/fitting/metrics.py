@@ -78,8 +78,8 @@ def base_weights(
     metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray,
     measure: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
-    """(n, C) w T(s)/T(1) of each value, or (n, 1) where the channels have the same: all that does not depend on
-    the model.
+    """(n, C) w T(s)/T(1) of each value, or (n, 1) where the channels have the same: all that does not depend
+    on the model.
 
     measure : (n,) what multiplies the squared residuals, None for 1.
     """
@@ -110,8 +110,7 @@ def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray)
     if metric == "relative":
         return np.maximum(y + floor, 1e-300)
     t = y / floor
-    root = np.sign(t) * np.exp(np.log(np.maximum(np.abs(t), 1.0)) / 3.0)
-    return weight * np.cbrt(floor) * np.where(np.abs(t) < 1.0, t * (4.0 - t * t) / 3.0, root)
+    return weight * np.cbrt(floor) * np.where(np.abs(t) < 1.0, t * (4.0 - t * t) / 3.0, np.cbrt(t))
 
 
 def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array) -> Residual:
@@ -130,8 +129,8 @@ def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array)
 
 
 def _root(t: Array) -> tuple[Array, Array]:
-    """The cube root of t and its slope, and for |t| < 1 those of the odd cubic that joins it there: the root's
-    own slope is infinite at 0, and with another one than the objective's passes end beside the optimum."""
+    """The cube root of t and its slope, and for |t| < 1 those of the odd cubic that joins it there: the slope
+    of the root is infinite at 0, and with another one than the objective's passes end beside the optimum."""
     inside = jnp.abs(t) < 1.0
     # Six times as fast as jnp.cbrt on a processor, and as exact.
     root = jnp.exp(jnp.log(jnp.where(inside, 1.0, jnp.abs(t))) / 3.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -52,7 +53,9 @@ def open_panel(page: Page, name: str) -> None:
     page.get_by_role("navigation").get_by_role("link", name=name).click()
 
 
-def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: Path) -> None:
+def test_the_whole_path(
+    watch: Callable[..., Watched], client: Any, address: str, tmp_path: Path
+) -> None:  # fmt: skip
     watched = watch(address)
     page = watched.page
     page.goto(address)
@@ -124,6 +127,14 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     page.get_by_label("Effective sample size").fill("50")
     page.get_by_role("button", name="Sample the posterior").click()
     drawn(page.locator("#panel-fit .plot.square"))
+    cost = page.locator("section.card", has=page.get_by_role("heading", name="Accuracy against time")).last
+    cost.get_by_label("Time limit / s").fill("3")
+    cost.get_by_role("button", name="Measure it").click()
+    drawn(cost.locator(".plot"))
+    told = cost.get_by_text(re.compile(f"fit in focus, {best}"))
+    ringed = "in focus" in cost.locator(".plot").evaluate("(plot) => plot.data.map((trace) => trace.name)")
+    # In so short a time not every model has its turn; where this one had, it is ringed.
+    expect(told).to_contain_text("ringed point" if ringed else "No point was measured")
     watched.accessible("fit")
 
     # Rendered beside the raw table.
@@ -166,6 +177,22 @@ def test_the_whole_path(watch: Callable[..., Watched], address: str, tmp_path: P
     again.page.goto(link)
     expect(again.page.get_by_role("radio", name=best)).to_be_checked(timeout=120_000)
     drawn(again.page.locator("#panel-fit .plot.square"))
+    # So do the calls that made it: they are known from the jobs, and the service takes them as they are.
+    cost = again.page.locator("#panel-fit section.card", has_text="Accuracy against time")
+    drawn(cost.last.locator(".plot"))
+    open_panel(again.page, "See")
+    expect(again.page.locator("#panel-see canvas")).to_have_count(3)
+    open_panel(again.page, "Take away")
+    shown = again.page.get_by_role("region", name=re.compile("^calls of (Fit|See)"))
+    expect(shown).to_have_count(2)
+    posts = [line for text in shown.all_inner_texts() for line in text.splitlines() if "--json" in line]
+    kinds = sorted(line.rsplit("/v1/")[-1].strip("'") for line in posts)
+    assert kinds == ["fits", "posteriors", "scenes/render", "scenes/render", "tradeoffs"]
+    for post in posts:
+        said = subprocess.run(["sh", "-c", post], capture_output=True, check=True)
+        job = json.loads(said.stdout)
+        assert job["state"] == "queued", (post, said)
+        client.post(f"/v1/jobs/{job['id']}/cancel")
     again.check()
     watched.check()
 
@@ -183,15 +210,16 @@ def _run(command: str, folder: Path) -> None:
     subprocess.run(["sh", "-c", words], check=True, capture_output=True, cwd=folder, timeout=120)
 
 
-def test_problems_in_their_own_words(
-    watch: Callable[..., Watched], address: str, tmp_path: Path
-) -> None:  # fmt: skip
+def test_problems_in_their_own_words(watch: Callable[..., Watched], address: str) -> None:
     watched = watch(address, PHONE, color_scheme="dark")
     page = watched.page
     page.goto(address)
-    bad = tmp_path / "bad.csv"
-    bad.write_text("theta_i_deg,theta_o_deg,dphi_deg,brdf\n0,0,0,1\n30,10,0,many\n")
-    page.set_input_files("#file", str(bad))
+    dropped = page.evaluate_handle(
+        "(text) => { const moved = new DataTransfer(); moved.items.add(new File([text], 'bad.csv'));"
+        " return moved; }",
+        "theta_i_deg,theta_o_deg,dphi_deg,brdf\n0,0,0,1\n30,10,0,many\n",
+    )
+    page.dispatch_event(".drop", "drop", {"dataTransfer": dropped})
     said = page.get_by_role("alert")
     expect(said).to_contain_text("row")
     expect(said).to_contain_text("Remedy")
@@ -237,6 +265,35 @@ def test_keyboard(watch: Callable[..., Watched], address: str, table: str) -> No
     watched.check()
 
 
+def test_cancelled_and_run_again(watch: Callable[..., Watched], serving: Any, table_bytes: bytes) -> None:
+    """Each kind of fit, at a service whose jobs all wait: what is run again is what was asked for."""
+    client = serving(workers=0)
+    table = client.post("/v1/tables", content=table_bytes).json()["id"]
+    with listening(client.app) as address:
+        watched = watch(address)
+        page = watched.page
+        page.goto(f"{address}/?panel=fit&table={table}")
+        fit = page.locator("#panel-fit")
+        for auto in (False, True):
+            if auto:
+                fit.get_by_role("checkbox", name=re.compile("^auto")).check()
+            fit.get_by_label("Metric").select_option("log")
+            fit.get_by_label(re.compile("^Budget")).fill("3")
+            fit.get_by_role("button", name="Fit", exact=True).click()
+            fit.get_by_role("button", name="Cancel").click()
+            expect(fit.get_by_role("alert")).to_contain_text("Cancelled")
+            fit.get_by_role("button", name="Run it again").click()
+            expect(fit.get_by_role("button", name="Cancel")).to_be_visible()
+            again, first = client.get("/v1/jobs").json()["items"][:2]
+            assert (first["state"], again["state"]) == ("cancelled", "queued")
+            assert first["request"] == again["request"]
+            assert ("selection" in first["request"]) == auto
+            fit.get_by_role("button", name="Cancel").click()
+            expect(fit.get_by_role("alert")).to_contain_text("Cancelled")
+        watched.check()
+        page.context.close()
+
+
 def test_a_key_is_asked_for_and_sent(watch: Callable[..., Watched], serving: Any, table_bytes: bytes) -> None:
     client = serving(keys=True)
     _, secret = keys.create(client.app.state.service.store, "ann", "write")
@@ -253,6 +310,7 @@ def test_a_key_is_asked_for_and_sent(watch: Callable[..., Watched], serving: Any
         page.get_by_role("link", name="mine").click()
         expect(page.get_by_role("heading", name="mine")).to_be_visible()
         drawn(page.locator("#panel-table .plot"))
+        expect(page.locator(".findings li").first).to_be_visible()
         open_panel(page, "Take away")
         commands = page.get_by_role("region", name="calls of Measurement")
         expect(commands).to_contain_text("Bearer $BRDF_FITTER_KEY")

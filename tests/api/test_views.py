@@ -56,7 +56,10 @@ def test_a_fit_beside_its_data(client: Any, fit: str) -> None:
 def test_of_a_deleted_table(client: Any, table_bytes: bytes, wait: Any) -> None:
     table = client.post("/v1/tables", content=table_bytes).json()["id"]
     started = client.post("/v1/fits", json={"table": table, "model": "oren_nayar"})
-    fit = wait(client, started.headers["location"])["results"][0]["id"]
+    job = wait(client, started.headers["location"])
+    fit = job["results"][0]["id"]
+    for kind, made in (("fits", fit), ("jobs", job["id"])):
+        assert [one["id"] for one in client.get(f"/v1/{kind}?table={table}").json()["items"]] == [made]
     assert client.delete(f"/v1/tables/{table}").status_code == 204
     for view in ("residuals", "slices"):
         answer = client.get(f"/v1/fits/{fit}/{view}")
