@@ -40,10 +40,6 @@ class Lobe:
     across: float
     psi: float = 0.0
 
-    @property
-    def anisotropic(self) -> bool:
-        return self.along != self.across
-
     def density(self, m: FloatArray) -> FloatArray:
         """D of normals (..., 3), 1/sr."""
         x, y = self._turned(m)
@@ -96,13 +92,12 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
     theta_i, phi_i = _incidences(table, wi)
     steps = next(steps for most, steps in _STEPS if theta_i.size * phi_i.size <= most)
-    lobe = Lobe(alpha, alpha)
-    adaptive, measured, above = _interpolated(table, theta_i, phi_i, lobe, steps[0], order)
+    adaptive, measured, above = _interpolated(table, theta_i, phi_i, alpha, steps[0], order)
     half, most = _change(table, adaptive, order)
     for count in steps[1:]:
         if most <= _CLOSE:
             break
-        adaptive, measured, above = _interpolated(table, theta_i, phi_i, lobe, count, order)
+        adaptive, measured, above = _interpolated(table, theta_i, phi_i, alpha, count, order)
         half, most = _change(table, adaptive, order)
     said = (
         f"{int(measured.sum())} samples were interpolated; {int((above & ~measured).sum())} more lie outside "
@@ -115,10 +110,10 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
 
 
 def _interpolated(
-    table: Table, theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: int, order: Sequence[int]
+    table: Table, theta_i: FloatArray, phi_i: FloatArray, alpha: float, steps: int, order: Sequence[int]
 ) -> tuple[Adaptive, BoolArray, BoolArray]:
     """The table at the samples of a file, which of them were measured, and which lie above the horizon."""
-    bare = parameterisation(theta_i, phi_i, lobe, steps)
+    bare = parameterisation(theta_i, phi_i, alpha, steps)
     data, measured, above = sampled(table.evaluate, len(table.channels), bare)
     if not measured.any():
         raise unwritable(
@@ -204,15 +199,13 @@ def mixture(lobe: Lobe, m: FloatArray) -> tuple[FloatArray, FloatArray]:
     return ndf, np.mean([one.projected_area(m) for one in widths], axis=0)
 
 
-def parameterisation(theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: int) -> Adaptive:
+def parameterisation(theta_i: FloatArray, phi_i: FloatArray, alpha: float, steps: int) -> Adaptive:
     """Where the samples lie, without their values: for incident angles (T,) and azimuths (P,), ``steps``
-    samples on each axis, about a lobe. All rounded to float32, as the file holds it."""
+    samples on each axis, about an isotropic lobe. All rounded to float32, as the file holds it."""
     u = np.linspace(0.0, 1.0, _NODES)
     theta = u * u * (np.pi / 2)
-    # One row does where no azimuth differs; the format wants two.
-    azimuth = np.linspace(-np.pi, np.pi, _NODES) if lobe.anisotropic else np.zeros(1)
-    m = directions.vector_from_spherical(theta, azimuth[:, None])
-    ndf, sigma = mixture(lobe, m)
+    m = directions.vector_from_spherical(theta, np.zeros((1, 1)))
+    ndf, sigma = mixture(Lobe(alpha, alpha), m)
     phi, incidence = np.meshgrid(phi_i, theta_i, indexing="ij")
     c, s = np.cos(theta), np.sin(theta)
     across = np.cos((2 * u - 1) * np.pi - phi.reshape(-1, 1))
@@ -220,7 +213,8 @@ def parameterisation(theta_i: FloatArray, phi_i: FloatArray, lobe: Lobe, steps: 
     # wi . m on (incidence, phi_m, theta_m); the density of m over u has the Jacobian u sin(theta).
     vndf = ndf * np.maximum(np.sin(tilt) * across[:, :, None] * s + np.cos(tilt) * c, 0.0) * u * s
     vndf /= vndf.mean(axis=(1, 2), keepdims=True)
-    both = [np.tile(rows, (1 if lobe.anisotropic else 2, 1)).astype(np.float32) for rows in (ndf, sigma)]
+    # One row does where no azimuth differs; the format wants two.
+    both = [np.tile(rows, (2, 1)).astype(np.float32) for rows in (ndf, sigma)]
     empty = np.zeros((incidence.size, 1, steps, steps), np.float32)
     return Adaptive(theta_i, phi_i, both[0], both[1], vndf.astype(np.float32), empty)
 
