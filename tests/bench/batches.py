@@ -22,7 +22,7 @@ from tests.bench.measuring import Figure, Row, Size
 
 SEED = 6
 _NAMES = ("ward", "torrance_sparrow", "lafortune", "oren_nayar")
-#: In a process of its own that has one core and one thread: seconds, and what its tables took to read and fit.
+#: In a process of its own that has one core: the seconds that the batch takes there.
 _CODE = """\
 import json, os, sys, time
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
