@@ -74,7 +74,7 @@ class _Asked:
 
     def __init__(self, arrays: Hashable, make: Callable[[], export.Exported]) -> None:
         self.arrays = arrays
-        self.make = make
+        self.make: Callable[[], export.Exported] | None = make
 
     def __hash__(self) -> int:
         return hash(self.arrays)
@@ -99,6 +99,7 @@ def _program(folder: str, told: str, settled: tuple[tuple[str, Hashable], ...], 
     path = Path(folder) / f"program-{name[:40]}"
     found = _read(path)
     if found is None:
+        assert asked.make is not None
         found = asked.make()
         content = bytes(found.serialize())
         try:
@@ -106,7 +107,10 @@ def _program(folder: str, told: str, settled: tuple[tuple[str, Hashable], ...], 
         except OSError as error:  # the work itself can go on
             warnings.warn(f"a program was not kept: {error}", RuntimeWarning, stacklevel=2)
     # Compiled from what was exported in the first process, too, so that the second one finds just that.
-    return jax.jit(found.call)
+    program = jax.jit(found.call)
+    # The memory of programs keeps what was asked: not also the arrays of whoever asked first.
+    asked.make = None
+    return program
 
 
 def _read(path: Path) -> export.Exported | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,6 +73,20 @@ def test_traced_once_and_found_again(folder: Path):
     second = Program()
     assert second(Scale(3.0)) == 6.0
     assert (second.traced, len(_files(folder))) == (0, 1)
+
+
+def test_arrays_are_not_kept(folder: Path):
+    """Neither traced nor found does a program hold the arrays that it was first asked for with."""
+    for traced in (1, 0):
+        _forget()
+        program = Program()
+        x = np.arange(3.0)
+        held = weakref.ref(x)
+        assert program(Scale(3.0), x) == 9.0
+        assert program.traced == traced
+        del x, program
+        gc.collect()
+        assert held() is None
 
 
 def test_what_differs_is_another_program(folder: Path):
