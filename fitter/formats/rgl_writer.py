@@ -82,10 +82,16 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
 
     Samples outside what was measured hold the interpolant's continuation, for renderers, and are marked in a
     field of their own, by which this program's reader knows them. Raises TableError for tables of one
-    plane or of few directions, and for channels that are neither one, nor three, nor all of known
-    wavelengths.
+    plane or of few directions, and for channels that are neither one, nor three, nor of a known wavelength
+    each.
     """
-    order, losses = _channels(table)
+    order = order_of(table.channels)
+    if order is None:
+        raise unwritable(
+            table,
+            f"an RGL file holds RGB or a spectrum, and the table has {len(table.channels)} channels that "
+            "don't have a wavelength each", "use delimited text",
+        )  # fmt: skip
     refuse_in_plane(table, "an RGL file")
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
@@ -106,7 +112,7 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     )
     about = fields(table.metadata.name, table.channels, adaptive, order, measured, above)
     write_aside(path, tensor_bytes(about))
-    return [*losses, Loss("resampled", said)]
+    return [*repeated(order), Loss("resampled", said)]
 
 
 def _interpolated(
@@ -149,20 +155,25 @@ def lobe_width(wi: FloatArray, wo: FloatArray, level: FloatArray) -> float:
     return float(np.clip(half / np.sqrt(np.sqrt(2) - 1), NARROWEST, WIDEST))
 
 
-def _channels(table: Table) -> tuple[list[int], list[Loss]]:
-    """Which channel each of the file's is, and what that changes."""
-    count = len(table.channels)
-    wavelengths = [channel.wavelength_nm for channel in table.channels]
-    if all(nm is not None for nm in wavelengths) and len(set(wavelengths)) == count:
-        return sorted(range(count), key=lambda k: wavelengths[k] or 0.0), []
-    if count == 3:
-        return [0, 1, 2], []
-    if count == 1:
-        return [0, 0, 0], [Loss("channels", "The one channel is there three times, as R, G and B.")]
-    raise unwritable(
-        table, f"an RGL file holds RGB or a spectrum, and the table has {count} channels without wavelengths",
-        "use delimited text",
-    )  # fmt: skip
+def is_spectrum(channels: Sequence[Channel]) -> bool:
+    """Whether channels are written as a spectrum: each has a wavelength of its own."""
+    known = {channel.wavelength_nm for channel in channels}
+    return None not in known and len(known) == len(channels)
+
+
+def order_of(channels: Sequence[Channel]) -> list[int] | None:
+    """Which channel of the source each of the file's is: a spectrum by wavelength, or R, G and B, which one
+    channel is all of. None for other channels."""
+    if is_spectrum(channels):
+        return sorted(range(len(channels)), key=lambda k: channels[k].wavelength_nm or 0.0)
+    return {1: [0, 0, 0], 3: [0, 1, 2]}.get(len(channels))
+
+
+def repeated(order: Sequence[int]) -> list[Loss]:
+    """What is to be said of a channel that stands for all of a file's."""
+    if len(set(order)) == len(order):
+        return []
+    return [Loss("channels", "The one channel is there three times, as R, G and B.")]
 
 
 def _incidences(table: Table, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -267,7 +278,7 @@ def fields(
     """
     shape, image = (len(adaptive.phi_i), len(adaptive.theta_i)), adaptive.data.shape[-2:]
     chosen: list[Channel] = [channels[k] for k in order]
-    spectral = all(channel.wavelength_nm is not None for channel in chosen) and len(set(order)) == len(order)
+    spectral = is_spectrum(channels)
     weights = np.full(len(order), 1 / len(order)) if spectral else np.array(_LUMINANCE)
     # A renderer scales it to unit integral: it can't be 0 everywhere.
     luminance = np.maximum(np.einsum("c,tcyx->tyx", weights, adaptive.data), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from fitter import directions
 from fitter.errors import TableError
+from fitter.export import subject, target
 from fitter.formats import load, rgl_writer, write
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.rgl import adaptive_of
@@ -87,6 +89,18 @@ class TestRoundTrip:
         back = load(tmp_path / "t.bsdf")
         assert [c.wavelength_nm for c in back.channels] == [450.1, 700.0]
         np.testing.assert_allclose(back.value[back.mask, 0], 2 * back.value[back.mask, 1], rtol=1e-6)
+
+    def test_no_spectrum_where_two_have_one_wavelength(self, tmp_path: Path):
+        names = [Channel("a", 600.0), Channel("b", 500.0), Channel("c", 500.0)]
+        table = smooth(3, names)
+        written = target("rgl").write(subject(table), tmp_path / "t.bsdf")
+        back = load(tmp_path / "t.bsdf")
+        assert [(c.name, c.wavelength_nm) for c in back.channels] == [("R", None), ("G", None), ("B", None)]
+        np.testing.assert_allclose(back.value[back.mask, 2], 3 * back.value[back.mask, 0], rtol=1e-6)
+        (fidelity,) = [note for note in written.notes if note.code == "fidelity"]
+        median = re.search(r"by ([\d.]+)% in the median", fidelity.message)
+        assert median is not None
+        assert float(median[1]) < 1.0
 
     def test_negative_values_stay(self, tmp_path: Path):
         plain = smooth(3)

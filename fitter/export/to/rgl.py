@@ -27,28 +27,18 @@ FloatArray = NDArray[np.float64]
 def write(subject: Subject, path: Path) -> Written:
     if subject.table is not None:
         losses = rgl_writer.write_rgl(subject.table, path)
-        return Written((*losses, _fidelity(subject, path, _order(subject))))
+        return Written((*losses, _fidelity(subject, path)))
     return _write_model(subject, path)
 
 
-def _order(subject: Subject) -> list[int]:
-    """Which channel of the subject each of the file's is."""
-    count = len(subject.channels)
-    order = [0, 0, 0] if count == 1 else list(range(count))
-    if all(channel.wavelength_nm is not None for channel in subject.channels):
-        order = sorted(range(count), key=lambda k: subject.channels[k].wavelength_nm or 0.0)
-    return order
-
-
 def _write_model(subject: Subject, path: Path) -> Written:
-    count = len(subject.channels)
-    spectral = all(channel.wavelength_nm is not None for channel in subject.channels)
-    if not spectral and count not in (1, 3):
+    order = rgl_writer.order_of(subject.channels)
+    if order is None:
         raise SpecError(
-            f"an RGL file holds RGB or a spectrum, and the model has {count} channels without wavelengths",
+            f"an RGL file holds RGB or a spectrum, and the model has {len(subject.channels)} channels that "
+            "don't have a wavelength each",
             code="export-channels", parameter="channels", remedy="choose one or three with --channels",
         )  # fmt: skip
-    order = _order(subject)
     layout = HalfVectors(subject)
     adaptive, drawn, above = layout.sampled(layout.chosen())
     stored = replace(adaptive, data=adaptive.data[:, order])
@@ -59,16 +49,15 @@ def _write_model(subject: Subject, path: Path) -> Written:
     shape = f"{angles} incident angles, {azimuths} azimuths" if azimuths > 1 else f"{angles} incidences"
     size = path.stat().st_size / 1e6
     said = f"{shape} of {stored.data.shape[-1]} x {stored.data.shape[-1]} samples each, {size:.1f} MB."
-    notes = [Loss("resolution", said), _fidelity(subject, path, order)]
-    if order == [0, 0, 0]:
-        notes.append(Loss("channels", "The one channel is there three times, as R, G and B."))
-    return Written(tuple(notes))
+    return Written((Loss("resolution", said), _fidelity(subject, path), *rgl_writer.repeated(order)))
 
 
-def _fidelity(subject: Subject, path: Path, order: list[int]) -> Loss:
+def _fidelity(subject: Subject, path: Path) -> Loss:
     """Of the file's own function, which is that of renderers."""
     source = Source(path)
     adaptive, _ = adaptive_of(source, fields_of(source))
+    order = rgl_writer.order_of(subject.channels)
+    assert order is not None
     own = [order.index(k) for k in range(len(subject.channels))]
 
     def there(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
