@@ -189,6 +189,8 @@ class Idempotent:
             renewing.cancel()
             if not done:
                 with CancelScope(shield=True):
+                    # A renewal that is under way would come after the release, and take it back.
+                    await asyncio.wait([renewing])
                     await _released(store, owner, key)
 
 
