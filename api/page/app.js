@@ -29,7 +29,8 @@ for (const [name, [title]] of Object.entries(PANELS)) {
 }
 
 function show(now) {
-  const name = PANELS[now.panel] ? now.panel : "table";
+  const name = Object.hasOwn(PANELS, now.panel) ? now.panel : "table";
+  const needed = name === "table" || now.table;
   for (const anchor of nav.children) {
     const here = anchor.dataset.panel === name;
     anchor.href = link({ panel: anchor.dataset.panel });
@@ -39,9 +40,10 @@ function show(now) {
   }
   document.title = `${PANELS[name][0]} – brdf-fitter`;
   try {
-    PANELS[name][1].show(sections[name], now);
+    if (needed) PANELS[name][1].show(sections[name], now);
+    else sections[name].replaceChildren(el("p", { class: "quiet" }, "Choose a measurement first."));
     // Something may have been made meanwhile.
-    if (last !== name) PANELS[name][1].reopened?.(now);
+    if (last !== name && needed) PANELS[name][1].reopened?.(now);
     last = name;
   } catch (error) {
     sections[name].replaceChildren(problem(error));

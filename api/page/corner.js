@@ -5,7 +5,7 @@ import { start } from "./events.js";
 import { get, recordStarted } from "./http.js";
 import { COLOURS, draw, figure } from "./plots.js";
 import { watchJob } from "./progress.js";
-import { set } from "./state.js";
+import { set, state } from "./state.js";
 
 /** Parameters that are shown at once, and bins along each. */
 const MOST = 6, BINS = 32;
@@ -15,10 +15,10 @@ export function corner(box, fit, now) {
   const here = JSON.stringify([fit.id, id, now.channel]);
   if (box.here === here) return;
   box.here = here;
-  fill(box, id ? "Fetching the posterior …" : "", async () => (id ? shown(id, fit, now) : asking(box, fit)));
+  fill(box, id ? "Fetching the posterior …" : "", async () => (id ? shown(id, fit, now) : asking(box, fit, now)));
 }
 
-function asking(box, fit) {
+function asking(box, fit, now) {
   const budget = el("input", { type: "number", min: "1", max: "3600", step: "any", value: "20" });
   const ess = el("input", { type: "number", min: "10", max: "100000", step: "1", value: "400" });
   const progress = el("div", {});
@@ -29,7 +29,8 @@ function asking(box, fit) {
       const done = await watchJob(progress, job, `posterior of ${fit.model.name}`);
       const { id } = done.results[0];
       fit.posteriors.unshift(id);
-      set({ posterior: id });
+      // Unless another fit or table is shown by now.
+      if (box.isConnected && state().table === now.table) set({ posterior: id });
     });
   };
   return el("form", { onsubmit: send },

@@ -20,10 +20,10 @@ export async function follow(id, told, signal) {
       const job = await get(`/v1/jobs/${id}`, { signal });
       if (ENDED.includes(job.state)) return job;
     } catch (error) {
-      // A problem other than "no answer" will not go away.
-      if (error.name === "AbortError" || error.document?.status || ++failures > 5) throw error;
+      // What the service refuses it will refuse again; "no answer" and its own failures may pass.
+      if (error.name === "AbortError" || error.document?.status < 500 || ++failures > 5) throw error;
     }
-    await new Promise((go) => setTimeout(go, 500));
+    await new Promise((go) => setTimeout(go, 500 * 2 ** failures));
   }
 }
 
@@ -40,7 +40,8 @@ async function* events(body) {
   for (;;) {
     const { done, value } = await reader.read();
     if (done) return;
-    waiting += value.replaceAll("\r\n", "\n");
+    // A line's end may be cut in two.
+    waiting = (waiting + value).replaceAll("\r\n", "\n");
     const blocks = waiting.split("\n\n");
     waiting = blocks.pop();
     for (const block of blocks) {

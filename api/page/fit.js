@@ -18,13 +18,9 @@ let parts = null;
 let stopping = null;
 
 export function show(root, now) {
-  if (!now.table) {
-    root.replaceChildren(el("p", { class: "quiet" }, "Choose a measurement first."));
-    parts = null;
-    return;
-  }
   if (!parts?.asked.isConnected || shown.table !== now.table) {
     forget("fit");
+    stopping?.abort();
     shown = { table: now.table };
     parts = { asked: el("div", {}), progress: el("div", {}), earlier: el("div", {}), outcome: el("div", {}) };
     root.replaceChildren(el("h2", {}, "Fit models"), el("div", { class: "two" }, card("What to fit", parts.asked), el("div", {}, card("Progress", parts.progress), card("Earlier fits of this measurement", parts.earlier))), parts.outcome);
@@ -34,6 +30,7 @@ export function show(root, now) {
   }
   if (shown.job !== now.job) {
     shown.job = now.job;
+    stopping?.abort();
     if (now.job) run(now.job);
     else parts.outcome.replaceChildren();
   } else if (shown.done) results(parts.outcome, shown.done, now);
@@ -76,15 +73,20 @@ function begin(job) {
 }
 
 async function run(id) {
-  stopping?.abort();
   stopping = new AbortController();
+  const { signal } = stopping;
   shown.done = null;
   parts.outcome.replaceChildren();
   const { progress } = parts;
   try {
-    const job = await get(`/v1/jobs/${id}`, { panel: "fit" });
+    const job = await get(`/v1/jobs/${id}`, { panel: "fit", signal });
     recordStarted("fit", "/v1/fits", [requestOf(job)]);
-    const done = await watchJob(progress, job, title(job), stopping.signal);
+    const done = await watchJob(progress, job, title(job), signal);
+    // Another job or table was chosen while another panel is shown.
+    if (state().job !== id) {
+      shown.job = null;
+      return;
+    }
     progress.replaceChildren(el("p", { class: "quiet" }, `${title(done)}: done.`), again(done));
     earlier(done.table);
     shown.done = done;

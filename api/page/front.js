@@ -7,7 +7,7 @@ import { get, recordStarted } from "./http.js";
 import { COLOURS, MARKS, draw, figure, scaledAxis } from "./plots.js";
 import { watchJob } from "./progress.js";
 import { scale } from "./scales.js";
-import { set } from "./state.js";
+import { set, state } from "./state.js";
 
 export function front(box, job, fits, fit, now) {
   const here = JSON.stringify([job.id, fit.id, now.tradeoff]);
@@ -24,7 +24,8 @@ function asking(box, job, fits) {
     fill(progress, "Starting …", async () => {
       const wanted = { table: job.table, models: fits.map((one) => one.spec.model), time_limit_seconds: Number(limit.value), posterior: false };
       const done = await watchJob(progress, await start("tradeoffs", wanted, "fit"), "accuracy against time");
-      set({ tradeoff: done.results[0].id });
+      // Unless another job or table is shown by now.
+      if (box.isConnected && state().table === job.table) set({ tradeoff: done.results[0].id });
     });
   };
   return el("form", { onsubmit: send },

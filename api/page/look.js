@@ -19,11 +19,6 @@ let stopping = null;
 let waiting = 0;
 
 export function show(root, now) {
-  if (!now.table) {
-    root.replaceChildren(el("p", { class: "quiet" }, "Choose a measurement first."));
-    parts = null;
-    return;
-  }
   if (!parts?.root.isConnected || shown.table !== now.table) {
     forget("look");
     shown = { table: now.table };
@@ -41,7 +36,7 @@ function build(root, now) {
   const channel = select([["all", "all"]], "all", (value) => set({ channel: value }));
   const scaling = select(SCALES, now.scale, (value) => set({ scale: value }));
   const slices = select([["polar", "polar"], ["cartesian", "Cartesian"]], now.slices, (value) => set({ slices: value }));
-  const overlay = select([["", "none"]], "", (value) => set({ overlay: value }));
+  const overlay = select([["", "nothing"]], "", (value) => set({ overlay: value }));
   const outside = el("input", { type: "checkbox", checked: now.outside === "1", onchange: () => set({ outside: outside.checked ? "1" : "" }) });
   const phiField = field("Azimuth φ_i / °", phi);
   const measured = el("p", { class: "row small", "aria-label": "measured incidences", role: "group" });

@@ -13,13 +13,16 @@ const NAMES = {
 };
 /** Residuals beyond this are drawn like it. */
 const MOST = 0.5;
+/** Answers that are kept at the most: a report may be of some megabytes. */
+const KEPT = 24;
 
-/** Something of a fit, asked for once while the page is open; `as` tells what may differ apart. */
+/** Something of a fit, of the last asked for; `as` tells what may differ apart. */
 function once(fit, what, as = "") {
   const name = [fit.id, what, as].join();
   if (!kept.has(name)) {
     const asked = get(`/v1/fits/${fit.id}/${what}`, { panel: "fit" });
     kept.set(name, asked);
+    if (kept.size > KEPT) kept.delete(kept.keys().next().value);
     asked.catch(() => kept.delete(name));
   }
   return kept.get(name);

@@ -6,20 +6,16 @@ import { fitsOf, given } from "./fits.js";
 import { forget, get, recordStarted, request } from "./http.js";
 import { watchJob } from "./progress.js";
 import { LIGHTS, SHAPES, scene } from "./scenes.js";
-import { set } from "./state.js";
+import { set, state } from "./state.js";
 
 let shown = {};
 let parts = null;
 let stopping = null;
 
 export function show(root, now) {
-  if (!now.table) {
-    root.replaceChildren(el("p", { class: "quiet" }, "Choose a measurement first."));
-    parts = null;
-    return;
-  }
   if (!parts?.asked.isConnected || shown.table !== now.table) {
     forget("see");
+    stopping?.abort();
     shown = { table: now.table };
     parts = { asked: el("div", {}), progress: el("div", {}), pictures: el("div", {}) };
     root.replaceChildren(el("h2", {}, "See it"), card("Scene", parts.asked, parts.progress), parts.pictures);
@@ -53,28 +49,29 @@ async function asking(now) {
     event.preventDefault();
     stopping?.abort();
     stopping = new AbortController();
+    const { signal } = stopping, mine = parts;
     submit.disabled = true;
-    parts.busy = true;
+    mine.busy = true;
     outcome.replaceChildren();
-    parts.progress.replaceChildren();
     const boxes = [el("div", {}), el("div", {})];
-    parts.progress.append(...boxes);
-    const channels = fit.value ? (await get(`/v1/models/${fit.value}`)).channels : table.description.channels.map((c) => c.name);
-    const render = async (box, material, planned, title) => {
+    mine.progress.replaceChildren(...boxes);
+    const render = async (box, channels, material, planned, title) => {
       const made = scene(shape.value, light.value, material, channels);
       const wanted = { scene: { ...made, ...(planned && { tolerance: Number(tolerance.value) }) }, samples: Number(samples.value), seconds: 120, seed: 1, plan: planned };
-      return (await watchJob(box, await start("scenes/render", wanted, "see"), title, stopping.signal)).results[0].id;
+      return (await watchJob(box, await start("scenes/render", wanted, "see"), title, signal)).results[0].id;
     };
     try {
       // One after the other: each takes every core there is.
-      const picture = await render(boxes[0], { table: now.table }, false, "picture of the raw table");
-      const pictured = fit.value ? await render(boxes[1], { fit: fit.value }, tolerance.value !== "", "picture of the fit") : "";
-      set({ picture, pictured, fit: fit.value });
+      const channels = fit.value ? (await get(`/v1/models/${fit.value}`)).channels : table.description.channels.map((c) => c.name);
+      const picture = await render(boxes[0], channels, { table: now.table }, false, "picture of the raw table");
+      const pictured = fit.value ? await render(boxes[1], channels, { fit: fit.value }, tolerance.value !== "", "picture of the fit") : "";
+      // Unless another table is shown by now.
+      if (!signal.aborted && state().table === now.table) set({ picture, pictured, fit: fit.value });
     } catch (error) {
       if (error.name !== "AbortError") outcome.replaceChildren(problem(error));
     }
     submit.disabled = false;
-    parts.busy = false;
+    mine.busy = false;
   };
   return el("form", { onsubmit: send },
     el("div", { class: "controls" }, field("Fit", fit), field("Shape", shape), field("Light", light), field("Samples a pixel", samples), field("Leave out effects below", tolerance), el("div", { class: "field" }, submit)), outcome);

@@ -5,13 +5,21 @@ const DEFAULTS = {
   outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "", residuals: "", detail: "",
   shape: "sphere", light: "sun", picture: "", pictured: "",
 };
+/** What names something of the service, and so becomes part of a request's path. */
+const IDS = ["table", "before", "overlay", "job", "fit", "posterior", "tradeoff", "picture", "pictured"];
+/** What belongs to one table. */
+const OF_TABLE = ["before", "overlay", "job", "fit", "posterior", "tradeoff", "picture", "pictured"];
 const listeners = [];
 let left = "look";
 
-/** Everything, as strings; what the address does not say has its default. */
+/** Everything, as strings; what the address does not say has its default, and so has an id that can't be one. */
 export function state() {
-  return { ...DEFAULTS, ...Object.fromEntries(new URLSearchParams(location.search)) };
+  const said = [...new URLSearchParams(location.search)].filter(([name, value]) => !IDS.includes(name) || /^\w*$/.test(value));
+  return { ...DEFAULTS, ...Object.fromEntries(said) };
 }
+
+/** What changes with the table: nothing of the one before is left. */
+export const ofTable = (table, before = "") => ({ ...Object.fromEntries(OF_TABLE.map((name) => [name, ""])), table, before });
 
 /** Change some of it. A step (another panel, another table) can be gone back from; a slider's can't. */
 export function set(changes, step = false) {

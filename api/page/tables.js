@@ -2,7 +2,7 @@
 
 import { card, el, field, fill, number, problem, say, select } from "./dom.js";
 import { get, record, upload } from "./http.js";
-import { link, set, state } from "./state.js";
+import { link, ofTable, set, state } from "./state.js";
 import { understood } from "./understood.js";
 import { OPTIONS } from "./reading.js";
 
@@ -38,9 +38,9 @@ function entry(table) {
   const { format, usable, samples, channels } = table.description;
   const open = (event) => {
     event.preventDefault();
-    set({ table: table.id, before: "", job: "", fit: "", posterior: "", tradeoff: "", picture: "", pictured: "", overlay: "" }, true);
+    set(ofTable(table.id), true);
   };
-  return el("li", {}, el("a", { href: link({ table: table.id, before: "" }), onclick: open, "data-id": table.id }, table.name), " ",
+  return el("li", {}, el("a", { href: link(ofTable(table.id)), onclick: open, "data-id": table.id }, table.name), " ",
     el("small", { class: "quiet" }, `${format}, ${number(usable)} of ${number(samples)} samples, ${channels.length} channel${channels.length > 1 ? "s" : ""}`));
 }
 
@@ -79,7 +79,7 @@ function uploading() {
       outcome.replaceChildren(el("p", {}, `${file.name} was read.`));
       say(`${file.name} was read as ${table.description.format}`);
       listed();
-      set({ table: table.id, before: "", job: "", fit: "", posterior: "", tradeoff: "", picture: "", pictured: "", overlay: "" }, true);
+      set(ofTable(table.id), true);
     } catch (error) {
       outcome.replaceChildren(problem(error));
     }

@@ -11,11 +11,6 @@ const PANELS = [["table", "Measurement"], ["look", "Look"], ["fit", "Fit"], ["se
 let shown = null;
 
 export function show(root, now) {
-  if (!now.table) {
-    root.replaceChildren(el("p", { class: "quiet" }, "Choose a measurement first."));
-    shown = null;
-    return;
-  }
   const here = JSON.stringify([now.table, now.fit, now.job, now.posterior, now.tradeoff, now.picture]);
   if (shown === here && root.querySelector("h2")) return;
   shown = here;

@@ -5,7 +5,7 @@ import { forget, get, post } from "./http.js";
 import { COLOURS, MARKS, draw, figure, inks, scaledAxis } from "./plots.js";
 import { OPTIONS, inWords } from "./reading.js";
 import { scale } from "./scales.js";
-import { set } from "./state.js";
+import { ofTable, set } from "./state.js";
 import { again } from "./tables.js";
 
 const SIGNS = { ok: "✓", notice: "●", warning: "▲" };
@@ -117,7 +117,7 @@ function correcting(table) {
       const made = await post(`/v1/tables/${table.id}/readings?${new URLSearchParams(given)}`, undefined, { panel: "table" });
       say("read again: the picture shows both readings");
       again();
-      set({ table: made.id, before: table.id, job: "", fit: "", posterior: "", tradeoff: "", picture: "", pictured: "", overlay: "" }, true);
+      set(ofTable(made.id, table.id), true);
     } catch (error) {
       outcome.replaceChildren(problem(error));
     }

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, Route, expect
 
 import fitter
 from api import keys
 from fitter import datasets
 
 from .browser import LAPTOP, PHONE, Watched, opened
-from .conftest import listening
+from .conftest import listening, small_table
 
 MODELS = ["ward", "torrance_sparrow", "lafortune", "oren_nayar"]
 
@@ -292,6 +292,48 @@ def test_cancelled_and_run_again(watch: Callable[..., Watched], serving: Any, ta
             expect(fit.get_by_role("alert")).to_contain_text("Cancelled")
         watched.check()
         page.context.close()
+
+
+def test_a_job_ends_after_another_table_was_chosen(
+    watch: Callable[..., Watched], client: Any, address: str, table: str, job: dict[str, Any]
+) -> None:
+    """Its fits don't become those of the other table."""
+    other = client.post("/v1/tables?name=another", content=small_table(7)).json()["id"]
+    watched = watch(address)
+    page = watched.page
+    held: list[Route] = []
+    running = {**job, "state": "running", "results": []}
+    page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=running))
+    page.route(f"**/v1/jobs/{job['id']}/events", lambda route: held.append(route))
+    with page.expect_request(f"**/v1/jobs/{job['id']}/events"):
+        page.goto(f"{address}/?table={table}&panel=fit&job={job['id']}")
+    open_panel(page, "Measurement")
+    page.get_by_role("link", name="another").click()
+    expect(page.get_by_role("heading", name="another")).to_be_visible()
+    drawn(page.locator("#panel-table .plot"))
+    with page.expect_response(f"**/v1/jobs/{job['id']}/events"):
+        held[0].fulfill(content_type="text/event-stream", body=f"id: 9\ndata: {json.dumps(job)}\n\n")
+    page.wait_for_timeout(500)
+    assert set(re.findall(r"[?&](\w+)=", page.url)) == {"table"}
+    open_panel(page, "Fit")
+    expect(page.locator("#panel-fit")).to_contain_text("Nothing runs.")
+    assert f"table={other}" in page.url
+    watched.check()
+
+
+def test_a_forged_link_asks_for_nothing_else(watch: Callable[..., Watched], address: str, table: str) -> None:
+    """What stands for an id in an address does not become another path."""
+    watched = watch(address)
+    page = watched.page
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(f"{request.method} {request.url}"))
+    page.goto(f"{address}/?panel=look&table={table}&overlay=..%2Fjobs%2F{table}%2Fcancel%3F")
+    drawn(page.locator("#panel-look .plot").nth(1))
+    assert not [one for one in asked if one.startswith("POST")]
+    page.goto(f"{address}/?panel=constructor&table=..%2F..%2Fopenapi.json%3F")
+    expect(page.locator("#subject")).to_have_text("no measurement chosen")
+    expect(page.locator("#panel-table")).to_be_visible()
+    watched.check()
 
 
 def test_a_key_is_asked_for_and_sent(watch: Callable[..., Watched], serving: Any, table_bytes: bytes) -> None:
