@@ -81,29 +81,19 @@ def fit_links(row: ModelRow) -> dict[str, str]:
     }  # fmt: skip
 
 
-def posterior(row: PosteriorRow) -> dict[str, Any]:
+def of_fit(row: PosteriorRow | CalibrationRow) -> dict[str, Any]:
+    """What was made of a fit, in a list."""
     return {
         "id": row.id, "created": when(row.created), "fit": row.fit_id, "job": row.job_id, **row.summary,
-        "links": posterior_links(row),
+        "links": of_fit_links(row),
     }  # fmt: skip
 
 
-def posterior_links(row: PosteriorRow) -> dict[str, str]:
-    here = f"/v1/posteriors/{row.id}"
+def of_fit_links(row: PosteriorRow | CalibrationRow) -> dict[str, str]:
+    here = f"/v1/{row.__tablename__}/{row.id}"
     links = {"self": here, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
-    return {**links, "export": f"{here}/export/{{format}}"}
-
-
-def calibration(row: CalibrationRow) -> dict[str, Any]:
-    return {
-        "id": row.id, "created": when(row.created), "fit": row.fit_id, "job": row.job_id, **row.summary,
-        "links": calibration_links(row),
-    }  # fmt: skip
-
-
-def calibration_links(row: CalibrationRow) -> dict[str, str]:
-    here = f"/v1/calibrations/{row.id}"
-    links = {"self": here, "fit": f"/v1/fits/{row.fit_id}", "job": f"/v1/jobs/{row.job_id}"}
+    if isinstance(row, PosteriorRow):
+        return {**links, "export": f"{here}/export/{{format}}"}
     return {**links, "picture": f"{here}/picture.png"}
 
 

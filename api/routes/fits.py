@@ -150,7 +150,7 @@ def posteriors(
 ) -> dict[str, Any]:
     """The sampled posteriors, newest first."""
     rows, total = here.page(PosteriorRow, limit, offset)
-    return page(request, response, [documents.posterior(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.of_fit(row) for row in rows], total, limit, offset)
 
 
 @router.get(
@@ -159,7 +159,7 @@ def posteriors(
 )  # fmt: skip
 def posterior(id: str, here: Here) -> Response:
     """The whole posterior: draws, credible intervals, diagnostics."""
-    links = documents.posterior_links(here.get(PosteriorRow, id))
+    links = documents.of_fit_links(here.get(PosteriorRow, id))
     document = {**here.service.results.read(id), "id": id, "links": links}
     return Response(dumps(document), media_type="application/json")
 
@@ -191,7 +191,7 @@ def calibrations(
 ) -> dict[str, Any]:
     """The finished calibrations, newest first."""
     rows, total = here.page(CalibrationRow, limit, offset)
-    return page(request, response, [documents.calibration(row) for row in rows], total, limit, offset)
+    return page(request, response, [documents.of_fit(row) for row in rows], total, limit, offset)
 
 
 @router.get(
@@ -200,7 +200,7 @@ def calibrations(
 )  # fmt: skip
 def calibration(id: str, here: Here) -> Response:
     """The whole calibration: every rank, the tests, the verdict."""
-    links = documents.calibration_links(here.get(CalibrationRow, id))
+    links = documents.of_fit_links(here.get(CalibrationRow, id))
     document = {**here.service.results.read(id), "id": id, "links": links}
     return Response(dumps(document), media_type="application/json")
 

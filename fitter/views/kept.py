@@ -64,8 +64,8 @@ class Views:
         with self._lock:
             return self._half_difference
 
-    @cached_property
     def _usable(self) -> Measured:
+        """Not kept: of a scattered table that is as large as the table."""
         return Measured.of(self._table, SEED, usable=True)
 
     @cached_property
@@ -74,10 +74,10 @@ class Views:
 
     @cached_property
     def _coverage(self) -> Coverage:
-        usable = self._usable
+        usable = self._usable()
         (theta_i, theta_o), counts, masked = covered(self._table, usable, SEED)
         return Coverage(theta_i, theta_o, counts, masked, len(usable.rows))
 
     @cached_property
     def _half_difference(self) -> HalfDifference:
-        return half_difference(self._table, self._usable)
+        return half_difference(self._table, self._usable())

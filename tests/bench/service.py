@@ -177,9 +177,11 @@ def _growth(client: Client, process: psutil.Process, content: bytes) -> int:
 
     looking = threading.Thread(target=look)
     looking.start()
-    client.delete_table(client.upload(content).id)
-    done.set()
-    looking.join()
+    try:
+        client.delete_table(client.upload(content).id)
+    finally:
+        done.set()
+        looking.join()
     return most - before
 
 
