@@ -83,7 +83,11 @@ export async function fill(box, waiting, work) {
     const made = await work();
     if (box.turn === turn && made) replaced(box, [made].flat());
   } catch (error) {
-    if (error.name !== "AbortError" && box.turn === turn) box.replaceChildren(problem(error));
+    if (error.name !== "AbortError" && box.turn === turn) {
+      // It is no picture any more, if it was one.
+      for (const name of ["role", "aria-label"]) box.removeAttribute(name);
+      box.replaceChildren(problem(error));
+    }
   } finally {
     if (box.turn === turn) box.removeAttribute("aria-busy");
   }
@@ -111,5 +115,7 @@ export function number(value, digits = 4) {
   return size >= 1e-5 && size < 1e7 ? rounded.toLocaleString("en", { maximumSignificantDigits: digits }) : rounded.toExponential().replace("e+", "e");
 }
 
+/** A share in percent. */
+export const percent = (share, digits = 3) => (share === null || share === undefined ? "–" : `${number(100 * share, digits)} %`);
 export const degrees = (value) => `${number(value, 4)}°`;
 export const seconds = (value) => (value < 1 ? `${number(1000 * value, 2)} ms` : `${number(value, 3)} s`);

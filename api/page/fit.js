@@ -68,7 +68,7 @@ async function asking(table) {
 }
 
 function begin(job) {
-  set({ job: job.id, fit: "", posterior: "", detail: "" }, true);
+  set({ job: job.id, fit: "", posterior: "" }, true);
   earlier(job.table);
 }
 

@@ -1,6 +1,6 @@
 // What accuracy costs in time on this table, and where the fit in focus stands.
 
-import { el, field, fill, number, seconds } from "./dom.js";
+import { el, field, fill, percent, seconds } from "./dom.js";
 import { start } from "./events.js";
 import { given } from "./fits.js";
 import { get, recordStarted } from "./http.js";
@@ -44,7 +44,7 @@ async function shown(id, fit) {
   return [
     made,
     el("p", {}, chosen
-      ? `The fit in focus, ${fit.model.name}, is the ringed point: ${number(100 * chosen.errors.held_out, 3)} % off on samples held out, in ${seconds(chosen.seconds.median)}, compiled${chosen.front.includes("held_out/seconds") ? "; nothing measured is both faster and better" : "; something measured is faster and no worse"}.`
+      ? `The fit in focus, ${fit.model.name}, is the ringed point: ${percent(chosen.errors.held_out)} off on samples held out, in ${seconds(chosen.seconds.median)}, compiled${chosen.front.includes("held_out/seconds") ? "; nothing measured is both faster and better" : "; something measured is faster and no worse"}.`
       : `No point was measured at the settings of the fit in focus, ${fit.model.name}.`),
     el("p", { class: "quiet" }, [found.noise?.sentence, found.skipped.length ? `Not measured in the time: ${found.skipped.length} settings` : ""].filter(Boolean).join(". ")),
   ];
@@ -65,7 +65,7 @@ async function drawn(plot, points, fit) {
     const own = points.filter((point) => point.model === model);
     return {
       type: "scatter", mode: "markers", name: model, ...placed(own), marker: { color: COLOURS[k % 7], symbol: MARKS[k % 7], size: 9 },
-      hovertext: own.map((point) => `${point.label}<br>${seconds(point.seconds.median)}, ${number(100 * point.errors.held_out, 3)} %`), hoverinfo: "text",
+      hovertext: own.map((point) => `${point.label}<br>${seconds(point.seconds.median)}, ${percent(point.errors.held_out)}`), hoverinfo: "text",
     };
   });
   const best = points.filter((point) => point.front.includes("held_out/seconds")).sort((a, b) => a.seconds.median - b.seconds.median);

@@ -2,7 +2,7 @@
 
 import { COLOURS, SEQUENTIAL, bar, chosen, draw, inks, relayout, rgb, share } from "./plots.js";
 import { button } from "./dom.js";
-import { scale } from "./scales.js";
+import { inWords, scale } from "./scales.js";
 
 const CAMERA = { x: 0.1, y: -1.9, z: 1.05 };
 const RAD = Math.PI / 180;
@@ -18,7 +18,7 @@ export async function drawLobe(box, found, { choice, scaling, outside }) {
   const flat = { visible: false, range: [-1.05, 1.05] };
   box.camera ||= { eye: { ...CAMERA }, center: { x: 0, y: 0, z: -0.36 } };
   const measured = level.flat().filter((v) => v !== null).length;
-  const about = `Lobe of scattered light at an incidence of ${found.theta_i_deg}°: the radius is ${scaling} in f_r, up to ${scaled.high.toPrecision(3)} per steradian; ${measured} of ${level.flat().length} directions are within what was measured.`;
+  const about = `Lobe of scattered light at an incidence of ${found.theta_i_deg}°: the radius is f_r, ${inWords(scaling)}, up to ${scaled.high.toPrecision(3)} per steradian; ${measured} of ${level.flat().length} directions are within what was measured.`;
   await draw(box, traces, {
     scene: { xaxis: flat, yaxis: flat, zaxis: { visible: false, range: [-0.02, 1.05] }, aspectmode: "manual", aspectratio: { x: 2, y: 2, z: 1 }, camera: box.camera, dragmode: "turntable" },
     margin: { l: 0, r: 0, t: 0, b: 0 },

@@ -68,6 +68,10 @@ export async function draw(box, traces, layout, about) {
   // What was said while nothing was drawn yet.
   for (const said of box.querySelectorAll(":scope > p, :scope > .problem")) said.remove();
   if (!box.isConnected) return;
+  if (box.data && !box.querySelector(".plot-container")) {
+    Plotly.purge(box); // a problem took the plot's place
+    box.turned = null;
+  }
   for (const other of drawn) {
     if (other.isConnected || other.drawing) continue;
     Plotly.purge(other); // a browser has a few WebGL contexts only

@@ -1,6 +1,6 @@
 // Fits beside their data: slices with a band, and maps of residuals.
 
-import { el, fill, field, number, problem, select } from "./dom.js";
+import { el, fill, field, number, percent, problem, select } from "./dom.js";
 import { get } from "./http.js";
 import { COLOURS, DASHES, DIVERGING, draw, figure, inks, scaledAxis } from "./plots.js";
 import { SCALES, scale } from "./scales.js";
@@ -99,7 +99,7 @@ export function residualMaps(box, fits, now) {
     const drawn = found.map(([fit, residuals]) => {
       const map = [residuals.map, ...residuals.further_maps].find((one) => `${one.x}/${one.y}` === wanted) || residuals.map;
       const stated = residuals.per_channel.find((one) => one.channel === channel);
-      const { figure: made, box: plot } = figure(`${fit.model.name}: bias ${number(100 * stated.relative_bias, 2)} %, rms ${number(100 * stated.relative_rmse, 3)} %`);
+      const { figure: made, box: plot } = figure(`${fit.model.name}: bias ${percent(stated.relative_bias, 2)}, rms ${percent(stated.relative_rmse)}`);
       plot.classList.add("low");
       setTimeout(() => drawMap(plot, map, channel, fit.model.name));
       return made;

@@ -1,6 +1,6 @@
 // Results side by side: parameters with uncertainties; of the fit in focus what its report and posterior show.
 
-import { card, el, fill, grid, number, problem, seconds } from "./dom.js";
+import { card, el, fill, grid, number, percent, problem, seconds } from "./dom.js";
 import { corner } from "./corner.js";
 import { fitsOfJob } from "./fits.js";
 import { front } from "./front.js";
@@ -32,7 +32,7 @@ function chosenBy(selection) {
   const ranking = selection.ranking || [];
   return card("How the model was chosen", el("ul", {}, (selection.sentences || []).map((text) => el("li", {}, text))),
     grid("Candidates, the best first", ["model", "parameters", "median relative error", "judged on", "as good as the best"],
-      ranking.map((one) => [one.model, number(one.parameters), `${number(100 * one.relative_error, 3)} %`, one.held_out ? "samples held out" : "samples it was fitted to", one.as_good ? "yes" : "no"])));
+      ranking.map((one) => [one.model, number(one.parameters), percent(one.relative_error), one.held_out ? "samples held out" : "samples it was fitted to", one.as_good ? "yes" : "no"])));
 }
 
 /** A column for each fit. */

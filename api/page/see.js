@@ -1,6 +1,6 @@
 // The panel "See": a shape made of the raw table and of a fit, their difference, and the plan of effects.
 
-import { card, el, facts, field, fill, grid, number, problem, select } from "./dom.js";
+import { card, el, facts, field, fill, grid, number, percent, problem, select } from "./dom.js";
 import { start } from "./events.js";
 import { fitsOf, given } from "./fits.js";
 import { forget, get, recordStarted, request } from "./http.js";
@@ -92,7 +92,6 @@ async function pictures({ picture, pictured }) {
   const model = (await get(`/v1/models/${asked.scene.materials.sample.fit}`)).name;
   const wide = (image.width - 4) / 3;
   const names = ["the raw table", model, `${model} less table, fourfold around grey`];
-  const percent = (value) => `${number(100 * value, 3)} %`;
   return [
     card("Pictures", el("div", { class: "pictures" }, names.map((name, k) => cut(image, k * (wide + 2), wide, name))),
       grid("How far the fit is from the table, over the mean radiance F", ["channel", "rms difference", "of it noise", "without noise", "bias", "PSNR / dB"],
@@ -103,7 +102,7 @@ async function pictures({ picture, pictured }) {
 }
 
 const told = (picture) => [
-  facts([["Samples a pixel", number(picture.samples)], ["Error of a pixel", `${number(100 * picture.error, 2)} % of F (standard error, rms)`], ["Time", `${number(picture.seconds, 3)} s, stopped by ${picture.stopped}`]]),
+  facts([["Samples a pixel", number(picture.samples)], ["Error of a pixel", `${percent(picture.error, 2)} of F (standard error, rms)`], ["Time", `${number(picture.seconds, 3)} s, stopped by ${picture.stopped}`]]),
   picture.notes.length ? el("ul", {}, picture.notes.map((note) => el("li", {}, note))) : "",
 ].flat();
 
@@ -111,7 +110,7 @@ function plan(found) {
   if (!found) return el("p", {}, "All of them: nothing was to be left out.");
   const saved = found.operations?.saved;
   return [
-    el("p", {}, `Within a tolerance of ${number(100 * found.tolerance, 3)} %, all that is left out together changes no point by more than ${number(100 * found.bound, 2)} %.${saved ? ` That is ${number(saved, 3)} times fewer operations.` : ""}`),
+    el("p", {}, `Within a tolerance of ${percent(found.tolerance)}, all that is left out together changes no point by more than ${percent(found.bound, 2)}.${saved ? ` That is ${number(saved, 3)} times fewer operations.` : ""}`),
     grid("Effects", ["effect", "was", "verdict", "why"], found.decisions.map((one) => [one.effect, one.off ? "off" : "on", one.state, one.sentence])),
   ].flat();
 }

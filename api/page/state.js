@@ -2,7 +2,7 @@
 
 const DEFAULTS = {
   panel: "table", table: "", before: "", theta_i: "45", phi_i: "0", channel: "all", scale: "cbrt", slices: "polar",
-  outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "", residuals: "", detail: "",
+  outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "", residuals: "",
   shape: "sphere", light: "sun", picture: "", pictured: "",
 };
 /** What names something of the service, and so becomes part of a request's path. */

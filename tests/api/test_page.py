@@ -321,6 +321,27 @@ def test_a_job_ends_after_another_table_was_chosen(
     watched.check()
 
 
+def test_a_plot_comes_back_after_a_problem(watch: Callable[..., Watched], address: str, table: str) -> None:
+    watched = watch(address)
+    page = watched.page
+    page.goto(f"{address}/?table={table}&panel=look")
+    lobe = page.locator("#panel-look .plot").first
+    drawn(lobe)
+    away = {"title": "Away", "detail": "the database is away", "status": 503}
+    page.route("**/lobe?*", lambda route: route.fulfill(status=503, json=away))
+    page.get_by_role("button", name="θ_i = 20°").click()
+    expect(lobe.get_by_role("alert")).to_contain_text("the database is away")
+    page.unroute("**/lobe?*")
+    page.get_by_role("button", name="θ_i = 40°").click()
+    expect(lobe).to_have_attribute("aria-label", re.compile("of 40°"))
+    expect(lobe.locator("canvas").first).to_be_visible()
+    before = page.evaluate("JSON.stringify(document.querySelector('#panel-look .plot').camera)")
+    page.get_by_role("button", name="turn left").click()
+    expect(lobe.locator("canvas").first).to_be_visible()
+    assert page.evaluate("JSON.stringify(document.querySelector('#panel-look .plot').camera)") != before
+    assert all("503" in complaint for complaint in watched.complaints), watched.complaints
+
+
 def test_a_forged_link_asks_for_nothing_else(watch: Callable[..., Watched], address: str, table: str) -> None:
     """What stands for an id in an address does not become another path."""
     watched = watch(address)
