@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
 #: Set where there has to be a browser, to its path: its tests don't skip then.
 VARIABLE = "BRDF_CHROMIUM"
@@ -92,6 +93,16 @@ class Watched:
         """Nothing sticks out of the window."""
         wide, window = self.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
         assert wide <= window, (where, wide, window)
+
+
+def drawn(figure: Locator) -> None:
+    """Wait until a plot is there and has traces."""
+    expect(figure).to_have_attribute("data-drawn", re.compile(r"\d+"), timeout=120_000)
+    expect(figure.locator("svg, canvas").first).to_be_attached()
+
+
+def open_panel(page: Page, name: str) -> None:
+    page.get_by_role("navigation").get_by_role("link", name=name).click()
 
 
 def _axe() -> str:

@@ -157,3 +157,28 @@ def model(client: TestClient) -> str:
 @pytest.fixture(scope="session")
 def wait() -> Callable[..., dict[str, Any]]:
     return wait_for
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium."""
+    from .browser import opened
+
+    with opened() as found:
+        yield found
+
+
+@pytest.fixture
+def watch(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open a page: ``watch(address)``."""
+    from .browser import LAPTOP, Watched
+
+    contexts: list[Any] = []
+
+    def start(address: str, window: dict[str, int] | None = None, **options: Any) -> Any:
+        contexts.append(browser.new_context(viewport=window or LAPTOP, accept_downloads=True, **options))
+        return Watched.of(contexts[-1], address)
+
+    yield start
+    for context in contexts:
+        context.close()
