@@ -139,6 +139,7 @@ def _shape(part: Any) -> tuple[int, int]:
 def _slices(source: Source, options: ReadOptions, said: dict[str, str]) -> list[Table]:
     if said.pop(WORD) != VERSION:
         raise _bad(source, WORD, "slices of another version")
+    said.pop("holds", None)  # for people
     if options.convention not in (None, "phi_specular_180"):
         raise source.error(
             f"convention {options.convention!r} is not for slices", "table-convention",
