@@ -42,7 +42,7 @@ def run(size: Size) -> Iterator[Row]:
 
 
 def _merl(folder: Path, size: Size) -> Row:
-    shape, count = size.pick((tables.MERL, 20), (tables.SMALL, 4))
+    shape, count = size.pick((tables.MERL, 12), (tables.SMALL, 4))
     (folder / "merl").mkdir()
     for k in range(count):
         made = tables.merl(_NAMES[k % 4], shape, SEED + k)
@@ -71,7 +71,7 @@ def _merl(folder: Path, size: Size) -> Row:
 
 def _by_tables(folder: Path, size: Size) -> Row:
     """Small tables: how the time grows with their number."""
-    counts = size.pick((1, 10, 100, 1000), (1, 4))
+    counts = size.pick((1, 10, 100, 300), (1, 4))
     (folder / "small").mkdir()
     for k in range(counts[-1]):
         made = tables.merl("ward", tables.SMALL, SEED + k)
