@@ -5,10 +5,10 @@ const DEFAULTS = {
   outside: "", overlay: "", job: "", fit: "", posterior: "", tradeoff: "", incidence: "", residuals: "",
   shape: "sphere", light: "sun", picture: "", pictured: "",
 };
-/** What names something of the service, and so becomes part of a request's path. */
-const IDS = ["table", "before", "overlay", "job", "fit", "posterior", "tradeoff", "picture", "pictured"];
 /** What belongs to one table. */
 const OF_TABLE = ["before", "overlay", "job", "fit", "posterior", "tradeoff", "picture", "pictured"];
+/** What names something of the service, and so becomes part of a request's path. */
+const IDS = ["table", ...OF_TABLE];
 const listeners = [];
 let left = "look";
 
