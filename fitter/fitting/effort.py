@@ -157,7 +157,7 @@ class Case:
         reduced = self.reduced and effort.polish == "full"
         searched = (CHUNK if reduced else padded(subset)) * self.channels
         # A subset is drawn from a part of a large table.
-        drawn = 0 if reduced or subset == self.samples else min(self.samples, max(ENOUGH, 8 * subset))
+        drawn = 0 if reduced or subset == self.samples else min(self.samples, max(ENOUGH, 4 * subset))
         return {
             "prepare": float((self.samples + drawn) * self.channels),
             "search": float((effort.starts + 4) * searched + self._exchanges(effort)),

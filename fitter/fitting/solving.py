@@ -68,7 +68,8 @@ def solve(
         polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
         for b in basins[:BASINS]
     ]
-    best = min(ends, key=lambda end: end.normal.objective)
+    ends = _distinct(ends, count(blocks))
+    best = ends[0]
     # On a table of few blocks all of them go on: that costs nothing.
     limit = math.inf if len(data) <= BLOCK else NEAR * best.normal.objective
     near = [in_order(places, end.p) for end in ends if end.normal.objective <= limit]
@@ -140,16 +141,22 @@ def _halfway(
     the full table needs a few.
     """
     index, scale = drawn
-    part = data.part(group, index, MIDDLE, scale)
+    part = data.part(group, index, BLOCK, scale)  # of the length that all blocks have: one program
     ends = [polish(places, data.metric, data.floor[list(group)], p, [part]) for p in near]
     least = min(end.normal.objective for end in ends)
     # Objectives of as many samples differ by chance, but those of the same samples by much less.
     limit = (1.0 + 3.0 / np.sqrt(MIDDLE)) * least
-    rivals: list[Polished] = []
-    for end in sorted(ends, key=lambda end: end.normal.objective):
-        if end.normal.objective <= limit and not any(_same(end, other, len(index)) for other in rivals):
-            rivals.append(end)
+    rivals = [end for end in _distinct(ends, len(index)) if end.normal.objective <= limit]
     return [end.p for end in rivals], rivals[0].rest if len(rivals) == 1 else None
+
+
+def _distinct(ends: Sequence[Polished], samples: int) -> list[Polished]:
+    """One end of each optimum, the best first."""
+    found: list[Polished] = []
+    for end in sorted(ends, key=lambda end: np.nan_to_num(end.normal.objective, nan=np.inf)):
+        if not any(_same(end, other, samples) for other in found):
+            found.append(end)
+    return found
 
 
 def _same(a: Polished, b: Polished, samples: int) -> bool:
