@@ -35,7 +35,7 @@ def judged(
 
 def reason(found: Decision) -> str:
     if found.state == "needed":
-        return f"without it a point is {100 * found.found:.2g} % off"
+        return f"without it a point is {100 * found.found:.3g} % off"
     if found.state == "bounded":
         return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
     bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
