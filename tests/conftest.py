@@ -30,7 +30,7 @@ from fitter.memory_maps import forget_when_many  # noqa: E402
 KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples")
 install_import_hook(
     [
-        "fitter.models", "fitter.directions", "fitter.grid", "fitter.table",
+        "fitter.models", "fitter.directions", "fitter.grid", "fitter.masking", "fitter.table",
         *(f"fitter.fitting.{kernel}" for kernel in KERNELS),
     ],
     "tests.typecheck.checked",
