@@ -27,10 +27,10 @@ from fitter.memory_maps import forget_when_many  # noqa: E402
 
 # Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
 # Not the requests themselves (fit, FitSpec): their own errors are what is tested.
-KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples")
+KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples", "usable")
 install_import_hook(
     [
-        "fitter.models", "fitter.directions", "fitter.grid", "fitter.table",
+        "fitter.models", "fitter.directions", "fitter.grid", "fitter.masking", "fitter.table",
         *(f"fitter.fitting.{kernel}" for kernel in KERNELS),
     ],
     "tests.typecheck.checked",
