@@ -32,6 +32,7 @@ import pytest
 
 from fitter import datasets
 from fitter.cli.app import main, parser
+from fitter.formats import formats
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -219,6 +220,25 @@ def test_every_page_is_in_the_index() -> None:
     for page in (ROOT / "docs").iterdir():
         if page.suffix in (".md", ".rst"):
             assert page.name == "index.md" or f"({page.name})" in index, page.name
+
+
+def test_instructions_are_short_and_name_what_exists() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    sections = re.findall(r"^## (Adding [^\n]+)\n(.*?)(?=^## )", text, re.MULTILINE | re.DOTALL)
+    assert [name for name, _ in sections] == [
+        "Adding a model", "Adding a format", "Adding an effect", "Adding an export", "Adding a verb",
+    ]  # fmt: skip
+    for name, section in sections:
+        assert section.count("\n") < 50, name
+    for path in re.findall(r"`((?:fitter|tests|docs|api)/[\w/.-]+)`", text):
+        assert (ROOT / path).exists() or "NAME" in path, path
+
+
+def test_every_format_is_documented() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text()
+    assert set(re.findall(r"^\| `([\w-]+)` \| [^|]+ \| [^|]+ \| [^|]+ \|$", page, re.MULTILINE)) == {
+        one.name for one in formats()
+    }
 
 
 def test_every_verb_is_documented() -> None:
