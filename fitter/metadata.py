@@ -25,7 +25,7 @@ class Channel:
 class Metadata:
     """Where a table comes from and what was done to it on reading. Everything here is JSON-ready.
 
-    ``quantity`` is what the *file* held; :attr:`Table.value` is always f_r in 1/sr without the cosine.
+    ``quantity`` is what the *file* held; ``Table.value`` is always f_r in 1/sr without the cosine.
     ``angle_unit`` is the file's, "deg" or "rad", "" where it holds no angles; here they are always radians.
     ``scale_uncertainty`` is relative and common to the whole table, ``angle_uncertainty`` and
     ``aperture`` (receiver, full angle) are in radians; each is standard (k = 1), None where not stated.
