@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader
 
-from fitter.batch.pictures import RESIDUALS, SLICE
+from fitter.batch.pictures import PICTURE
 
 
 def render(tables: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]]) -> str:
@@ -41,7 +41,7 @@ def _line(table: Mapping[str, Any]) -> dict[str, Any]:
         "rmse": chosen["metrics"]["rmse"], "relative": chosen["metrics"]["relative_rmse"],
         "seconds": table["seconds"], "notes": notes, "report": f"{folder}/report.html",
         "fit": f"{folder}/{quote(chosen['file'])}",
-        "pictures": [f"{folder}/{name}" for name in (SLICE, RESIDUALS)],
+        "picture": f"{folder}/{PICTURE}",
     }  # fmt: skip
 
 

@@ -128,9 +128,7 @@ def _files_of(pattern: str) -> list[Path]:
     return found
 
 
-def _told(
-    files: Sequence[Path], reading: Mapping[str, Any]
-) -> Iterator[tuple[Unit, TableError | None]]:
+def _told(files: Sequence[Path], reading: Mapping[str, Any]) -> Iterator[tuple[Unit, TableError | None]]:
     """The units of files, archives opened, and measurements of several files in one folder put together."""
     together: dict[tuple[str, Path], list[Path]] = {}
     for path in files:

@@ -243,4 +243,3 @@ def _client(workers: int, scheduler: str | None) -> Generator[Client]:
         Client(cluster, set_as_default=False) as client,
     ):  # fmt: skip
         yield client
-

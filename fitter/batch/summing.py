@@ -26,9 +26,7 @@ _FIRST = (
 def write(records: Sequence[Mapping[str, Any]], plan: Plan, folder: Path) -> None:
     """``summary.csv``, ``summary.parquet`` and ``index.html`` of what is there, each aside and renamed."""
     tables = [dict(table) for record in records for table in record["tables"]]
-    failed = [
-        _failed(one["unit"]["name"], one["unit"], one["error"]) for one in records if one["error"]
-    ]
+    failed = [_failed(one["unit"]["name"], one["unit"], one["error"]) for one in records if one["error"]]
     failed += [_failed(one["table"], {"paths": [one["path"]]}, one["error"]) for one in plan.refused]
     rows = [row for table in tables for row in rows_of(table, plan.spec.seed)] + failed
     rows.sort(key=lambda row: (row["table"], row["model"] or ""))

@@ -130,9 +130,7 @@ def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
     return [item if items.count(item) == 1 else f"{item}-{k}" for k, item in enumerate(items)]
 
 
-def _table(
-    table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path
-) -> dict[str, Any]:
+def _table(table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path) -> dict[str, Any]:
     """Fit one table; what the summary says of it. Files of an earlier attempt go first."""
     from fitter.batch.pictures import draw
     from fitter.fitting.result import best

@@ -5,17 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 
 import fitter
-from fitter.batch import Plan, batch_spec, compare, estimate, plan, run
+from fitter.batch import Plan, batch_spec, compare, estimate, plan, run, svg
 from fitter.cli.reading import table_of
 from fitter.errors import FitError, SpecError
 from fitter.formats import ReadOptions
@@ -71,9 +73,12 @@ def test_results_summary_and_index(done: Path):
     assert packed[-1]["rmse"] is None
     page = (done / "index.html").read_text()
     assert page.count("<tr data-status") == 4
-    for name in ("slice.png", "residuals.png"):
-        assert f'src="tables/t0/{name}"' in page
-        assert (done / "tables" / "t0" / name).read_bytes().startswith(b"\x89PNG")
+    assert 'src="tables/t0/picture.svg"' in page
+    drawn = ElementTree.parse(done / "tables" / "t0" / "picture.svg").getroot()
+    assert len(drawn.findall("{*}g")) == 2
+    numbers = re.findall(r"[-\d.]+", " ".join(str(one.get("d")) for one in drawn.findall(".//{*}path")))
+    assert len(numbers) > 200
+    assert all(0 <= float(number) <= svg.WIDTH for number in numbers)
 
 
 def test_done_again_is_not_done_again(done: Path, tables: Path):
@@ -180,7 +185,10 @@ def test_posterior_and_export_of_the_best(tmp_path: Path, write_table: Write):
     posterior = {"ess": 50, "max_samples": 200, "rhat": 1.2, "budget_seconds": 20}
     spec = batch_spec(
         {
-            "tables": [str(table)], "models": "oren_nayar", "posterior": posterior, "report": False,
+            "tables": [str(table)],
+            "models": "oren_nayar",
+            "posterior": posterior,
+            "report": False,
             "exports": ["python"],
         }
     )
