@@ -10,7 +10,7 @@ import errno
 import os
 import tempfile
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +34,8 @@ _ONE_THREAD = {
     "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1",
 }  # fmt: skip
+#: A unit and the key of what is to be done.
+_Task = tuple[Unit, str]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -73,16 +75,8 @@ def run(
     """
     begun = time.monotonic()
     folder = Path(out).resolve()
-    records: list[dict[str, Any]] = []
-    todo: list[tuple[Unit, str]] = []
-    for unit in what.units:
-        key = unit.key(what.work)
-        found = working.finished(unit, key, folder)
-        if found is None:
-            todo.append((unit, key))
-        else:
-            records.append(found)
-    kept = len(records)
+    keys = {unit.name: unit.key(what.work) for unit in what.units}
+    todo = [unit for unit in what.units if not _finished(unit, keys, folder)]
     spec = what.spec.model_dump(mode="json")
     with _disk(folder):
         write_document({"kind": "brdf-fitter/batch", "spec": spec, **what.to_dict()}, folder / "batch.json")
@@ -90,15 +84,23 @@ def run(
     try:
         if todo:
             count = workers or os.cpu_count() or 1
-            with _records(todo, spec, folder, min(count, len(todo)), scheduler, counter) as arriving:
-                for record in arriving:
-                    records.append(record)
-                    counter.one(record)
+            tasks = ((unit, keys[unit.name]) for unit in todo)
+            with _ends(tasks, spec, folder, min(count, len(todo)), scheduler, counter) as arriving:
+                for failed in arriving:
+                    counter.one(failed)
     finally:
         with _disk(folder):
-            summing.write(records, what, folder)
-    failed = sum(working.failed(record) for record in records) + len(what.refused)
-    return Done(folder, len(records) - kept, kept, failed, time.monotonic() - begun)
+            summing.write(what, keys, folder)
+    return Done(
+        folder, counter.done, len(what.units) - len(todo), counter.failed + len(what.refused),
+        time.monotonic() - begun,
+    )  # fmt: skip
+
+
+def _finished(unit: Unit, keys: Mapping[str, str], folder: Path) -> bool:
+    """Whether the unit was done as asked now and did not fail."""
+    record = working.read_record(folder, unit.name)
+    return record is not None and record.get("key") == keys[unit.name] and not working.failed(record)
 
 
 class _Counter:
@@ -107,31 +109,32 @@ class _Counter:
     def __init__(self, total: int, report: reporting.Progress) -> None:
         self._total = total
         self._report = report
-        self._done = self._failed = 0
+        self.done = self.failed = 0
         self._begun = time.monotonic()
 
-    def one(self, record: dict[str, Any]) -> None:
-        self._done += 1
-        self._failed += working.failed(record)
+    def one(self, failed: bool) -> None:
+        self.done += 1
+        self.failed += failed
         self.say(0)
 
     def say(self, running: int) -> None:
-        words = f"{self._done} of {self._total} done"
+        words = f"{self.done} of {self._total} done"
         if running:
             words += f", {running} running"
-        if self._failed:
-            words += f", {self._failed} failed"
-        if self._done:
-            left = (time.monotonic() - self._begun) / self._done * (self._total - self._done)
+        if self.failed:
+            words += f", {self.failed} failed"
+        if self.done:
+            left = (time.monotonic() - self._begun) / self.done * (self._total - self.done)
             words += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
-        self._report(self._done / self._total, words)
+        self._report(self.done / self._total, words)
 
 
 @contextmanager
-def _records(
-    todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, workers: int, scheduler: str | None,
+def _ends(
+    todo: Iterator[_Task], spec: dict[str, Any], folder: Path, workers: int, scheduler: str | None,
     counter: _Counter,
-) -> Generator[Iterator[dict[str, Any]]]:  # fmt: skip
+) -> Generator[Iterator[bool]]:  # fmt: skip
+    """Does the tasks; for each that ends, whether it failed. Its record is on the disk by then."""
     if scheduler is None and workers == 1:
         yield _here(todo, spec, folder, counter)
         return
@@ -139,27 +142,24 @@ def _records(
         yield _on_cluster(client, todo, spec, folder, counter)
 
 
-def _here(
-    todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, counter: _Counter
-) -> Iterator[dict[str, Any]]:
+def _here(todo: Iterator[_Task], spec: dict[str, Any], folder: Path, counter: _Counter) -> Iterator[bool]:
     for unit, key in todo:
         counter.say(1)
         with _disk(folder):
-            record = working.work(unit.to_dict(), spec, key, str(folder))
-        yield record
+            failed = working.work(unit.to_dict(), spec, key, str(folder))
+        yield failed
 
 
 def _on_cluster(
-    client: Client, todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, counter: _Counter
-) -> Iterator[dict[str, Any]]:
+    client: Client, todo: Iterator[_Task], spec: dict[str, Any], folder: Path, counter: _Counter
+) -> Iterator[bool]:
     from distributed import KilledWorker, wait
 
-    waiting = iter(todo)
-    running: dict[Any, tuple[Unit, str]] = {}
+    running: dict[Any, _Task] = {}
     try:
         while True:
             room = _AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])) - len(running)
-            for _, (unit, key) in zip(range(room), waiting, strict=False):
+            for _, (unit, key) in zip(range(room), todo, strict=False):
                 future = client.submit(
                     working.work, unit.to_dict(), spec, key, str(folder), key=f"batch-{key}", pure=False
                 )
@@ -170,12 +170,13 @@ def _on_cluster(
                 wait(list(running), timeout=_LOOK_EVERY, return_when="FIRST_COMPLETED")
             for future in [one for one in running if one.done()]:
                 unit, key = running.pop(future)
-                try:
-                    with _disk(folder):
-                        record = future.result()
-                except KilledWorker as error:
-                    record = _lost(unit, key, error)
-                yield record
+                with _disk(folder):
+                    try:
+                        failed = future.result()
+                    except KilledWorker as error:
+                        failed = True
+                        working.write_record(folder, _lost(unit, key, error))
+                yield failed
             counter.say(len(running))
     finally:
         for future in running:
@@ -190,10 +191,7 @@ def _lost(unit: Unit, key: str, error: Exception) -> dict[str, Any]:
         "cause": f"it needs more memory than a worker has ({error})",
         "remedy": "fit it alone with `brdf-fitter fit`, or with fewer --workers",
     }  # fmt: skip
-    return {
-        "kind": working.KIND, "key": key, "unit": unit.to_dict(), "seconds": None, "tables": [],
-        "error": problem,
-    }  # fmt: skip
+    return working.record_of(unit, key, error=problem)
 
 
 @contextmanager

@@ -46,8 +46,8 @@ def start() -> None:
         _log.warning("compiled programs are not kept: %s can't be written (%s)", folder, error.strerror)
 
 
-def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -> dict[str, Any]:
-    """Do one unit; its record, which is written to its folder, too. Arguments and result are plain data.
+def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -> bool:
+    """Do one unit and write its record to its folder; whether it failed. Arguments are plain data.
 
     What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
     where the disk is full: then nothing else will work either.
@@ -57,6 +57,7 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
     asked = batch_spec(spec)
     folder = Path(out) / TABLES / todo.name
     begun = time.monotonic()
+    (folder / RECORD).unlink(missing_ok=True)  # of an earlier attempt
     tables: list[dict[str, Any]] = []
     problem: dict[str, Any] | None = None
     try:
@@ -74,13 +75,26 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
             "code": "internal", "message": f"{type(error).__name__}: {error}", "file": todo.paths[0],
             "cause": "a fault of the program; the worker's output has the details", "remedy": "report it",
         }  # fmt: skip
-    record = {
-        "kind": KIND, "key": key, "unit": todo.to_dict(), "seconds": time.monotonic() - begun,
-        "tables": tables, "error": problem,
-    }  # fmt: skip
-    write_document(record, folder / RECORD)
+    record = record_of(todo, key, time.monotonic() - begun, tables, problem)
+    write_record(Path(out), record)
     forget_when_many()
-    return record
+    return failed(record)
+
+
+def record_of(
+    unit: Unit, key: str, seconds: float | None = None, tables: Sequence[Mapping[str, Any]] = (),
+    error: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """What has become of a unit."""
+    return {
+        "kind": KIND, "key": key, "unit": unit.to_dict(), "seconds": seconds, "tables": list(tables),
+        "error": error,
+    }  # fmt: skip
+
+
+def write_record(out: Path, record: Mapping[str, Any]) -> None:
+    """Write the record into its unit's folder: the unit has ended."""
+    write_document(record, out / TABLES / record["unit"]["name"] / RECORD)
 
 
 def failed(record: Mapping[str, Any]) -> bool:
@@ -88,17 +102,14 @@ def failed(record: Mapping[str, Any]) -> bool:
     return record["error"] is not None or any("best" not in table for table in record["tables"])
 
 
-def finished(unit: Unit, key: str, out: Path) -> dict[str, Any] | None:
-    """The record of a unit that was done as asked now and did not fail; else None."""
-    path = out / TABLES / unit.name / RECORD
-    if not path.exists():
-        return None
+def read_record(out: Path, name: str) -> dict[str, Any] | None:
+    """The record of the unit of that name; None where there is none that can be read."""
+    path = out / TABLES / name / RECORD
     try:
-        record = dict(read_document(path, "not-a-batch"))
+        record = dict(read_document(path, "not-a-batch")) if path.exists() else {}
     except SpecError:
         return None  # done again, which mends it
-    same = record.get("kind") == KIND and record.get("key") == key
-    return record if same and not failed(record) else None
+    return record if record.get("kind") == KIND else None
 
 
 def _opened(unit: Unit) -> list[Table]:

@@ -71,14 +71,45 @@ def test_results_summary_and_index(done: Path):
     packed = pyarrow.parquet.read_table(done / "summary.parquet").to_pylist()
     assert [one["rmse"] for one in packed[:6]] == [float(one["rmse"]) for one in rows[:6]]
     assert packed[-1]["rmse"] is None
-    page = (done / "index.html").read_text()
-    assert page.count("<tr data-status") == 4
-    assert 'src="tables/t0/picture.svg"' in page
+    shown = (done / "index.html").read_text()
+    assert shown.count("<tr data-status") == 4
+    assert 'src="tables/t0/picture.svg"' in shown
     drawn = ElementTree.parse(done / "tables" / "t0" / "picture.svg").getroot()
     assert len(drawn.findall("{*}g")) == 2
     numbers = re.findall(r"[-\d.]+", " ".join(str(one.get("d")) for one in drawn.findall(".//{*}path")))
     assert len(numbers) > 200
     assert all(0 <= float(number) <= svg.WIDTH for number in numbers)
+
+
+def _record(name: str, relative: float, status: str = "converged") -> dict[str, Any]:
+    fit = {
+        "model": "ward", "file": "ward.json", "status": status, "warnings": [],
+        "metrics": {"rmse": relative, "relative_rmse": relative},
+    }  # fmt: skip
+    table = {
+        "table": name, "folder": f"tables/{name}", "fits": [fit], "best": "ward", "notes": [], "usable": 1,
+        "seconds": 0.1,
+    }  # fmt: skip
+    return {"unit": {"name": name}, "error": None, "tables": [table]}
+
+
+def test_the_index_shows_the_worst_of_many():
+    index = page.Index(reports=True, most=4)
+    for k in range(20):
+        index.add(_record(f"t{k:02}", 0.01 * (k % 10)))
+    index.add(_record("odd", 0.001, "not_converged"))
+    error = {"message": "is no number", "row": 7}
+    index.add({"unit": {"name": "broken"}, "error": error, "tables": []})
+    for k in range(20, 40):
+        index.add(_record(f"t{k:02}", 0.001))
+    text = index.render()
+    assert re.findall(r'<tr data-status="[\w ]+">\s*<td>(?:<a [^>]*>)?(\w+)', text) == [
+        "broken", "odd", "t09", "t19",
+    ]  # fmt: skip
+    assert "Batch of 42 tables" in text
+    assert "40 converged, 1 failed, 1 not converged" in text
+    assert "the 4 worst" in text
+    assert "row 7: is no number" in text
 
 
 def test_done_again_is_not_done_again(done: Path, tables: Path):
