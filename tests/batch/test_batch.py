@@ -17,7 +17,7 @@ import pyarrow.parquet
 import pytest
 
 import fitter
-from fitter.batch import Plan, batch_spec, compare, estimate, plan, run, svg
+from fitter.batch import Plan, batch_spec, compare, estimate, page, plan, run, svg
 from fitter.cli.reading import table_of
 from fitter.errors import FitError, SpecError
 from fitter.formats import ReadOptions
