@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 import re
 import signal
 import zipfile
@@ -22,7 +20,7 @@ from fitter.cli.reading import table_of
 from fitter.errors import FitError, SpecError
 from fitter.formats import ReadOptions
 from fitter.progress import Cancelled
-from tests.batch.conftest import Write
+from tests.batch.conftest import Write, rows_without_times, summary_rows
 
 #: Quick to fit, quick to compile.
 SPEC = {"models": ["oren_nayar", "ward"], "report": False}
@@ -50,13 +48,8 @@ def done(tables: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def _rows(out: Path) -> list[dict[str, str]]:
-    with (out / "summary.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_results_summary_and_index(done: Path):
-    rows = _rows(done)
+    rows = summary_rows(done)
     assert [(row["table"], row["model"], row["status"]) for row in rows] == [
         *((f"t{k}", model, "converged") for k in range(3) for model in ("oren_nayar", "ward")),
         ("unreadable", "", "failed"),
@@ -137,36 +130,17 @@ def test_stopped_and_resumed(tables: Path, tmp_path: Path, done: Path):
 
     with pytest.raises(Cancelled):
         run(_planned(tables), tmp_path, workers=1, progress=stop)
-    assert 1 <= len({row["table"] for row in _rows(tmp_path)}) < 4
+    assert 1 <= len({row["table"] for row in summary_rows(tmp_path)}) < 4
     again = run(_planned(tables), tmp_path, workers=1)
     assert again.kept >= 1
-    assert _without_times(_rows(tmp_path)) == _without_times(_rows(done))
+    assert rows_without_times(tmp_path) == rows_without_times(done)
 
 
-def _without_times(rows: list[dict[str, str]]) -> list[dict[str, str]]:
-    return [{name: text for name, text in row.items() if "seconds" not in name} for row in rows]
-
-
-def test_workers_of_a_cluster_one_of_them_killed(tables: Path, tmp_path: Path, done: Path):
+def test_workers_of_its_own(tables: Path, tmp_path: Path, done: Path):
     """The same numbers as in one process, each once."""
-    from distributed import Client, LocalCluster
-
-    killed: list[int] = []
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", local_directory=str(tmp_path / "dask")
-    ) as cluster, Client(cluster, set_as_default=False) as client:  # fmt: skip
-
-        def kill(share: float, what: str) -> None:
-            pids = client.run(os.getpid)
-            if not killed and "running" in what:
-                killed.append(next(iter(pids.values())))
-                os.kill(killed[0], signal.SIGKILL)
-
-        out = tmp_path / "out"
-        found = run(_planned(tables), out, scheduler=cluster.scheduler_address, progress=kill)
-    assert killed
+    found = run(_planned(tables), tmp_path, workers=2)
     assert (found.done, found.failed) == (4, 1)
-    assert _without_times(_rows(out)) == _without_times(_rows(done))
+    assert rows_without_times(tmp_path) == rows_without_times(done)
 
 
 def test_a_scheduler_that_is_not_there(tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -226,7 +200,7 @@ def test_posterior_and_export_of_the_best(tmp_path: Path, write_table: Write):
     assert run(plan(spec), tmp_path / "out", workers=1).failed == 0
     place = tmp_path / "out" / "tables" / "t"
     assert {"posterior.json", "python.py", "oren_nayar.json"} <= {path.name for path in place.iterdir()}
-    (row,) = _rows(tmp_path / "out")
+    (row,) = summary_rows(tmp_path / "out")
     assert row["posterior"]
     assert float(row["lower95(rho[value])"]) < float(row["rho[value]"]) < float(row["upper95(rho[value])"])
 
@@ -272,7 +246,7 @@ def test_a_member_that_claims_too_much_fails_alone(
     monkeypatch.setattr("fitter.formats.archives.MAX_UNPACKED", 50_000)
     spec = {"tables": [str(tmp_path / "z.zip")], "models": ["oren_nayar"], "report": False}
     assert run(plan(batch_spec(spec)), tmp_path / "out", workers=1).failed == 1
-    errors = {row["table"]: row["error"] for row in _rows(tmp_path / "out")}
+    errors = {row["table"]: row["error"] for row in summary_rows(tmp_path / "out")}
     assert errors["z-small"] == ""
     assert "claims to unpack" in errors["z-bomb"]
 
