@@ -95,8 +95,12 @@ def plan(spec: BatchSpec) -> Plan:
         else:
             refused.append({"table": unit.name, "path": unit.paths[0], "error": error.to_dict()})
     _refuse_twins([*units, *(Unit(one["table"], (one["path"],)) for one in refused)])
-    # Tables of one format and size lie side by side, so that a worker's compiled programs serve the next.
-    units.sort(key=lambda unit: (unit.format, unit.size, unit.name))
+    # Tables of one format and size lie side by side, so that a worker's compiled programs serve the next; the
+    # large ones come first, so that none begins when all other workers are about to end.
+    largest: dict[str, int] = {}
+    for unit in units:
+        largest[unit.format] = max(unit.size, largest.get(unit.format, 0))
+    units.sort(key=lambda unit: (-largest[unit.format], unit.format, -unit.size, unit.name))
     return Plan(spec, tuple(units), tuple(refused))
 
 

@@ -78,9 +78,8 @@ def _records(plan: Plan, keys: Mapping[str, str], folder: Path) -> Iterator[Mapp
 
 
 def _rows(record: Mapping[str, Any], plan: Plan) -> list[Row]:
-    if record["error"]:
-        return [_failed(record["unit"], record["error"])]
-    return [row for table in record["tables"] for row in rows_of(table, plan.spec.seed)]
+    rows = [row for table in record["tables"] for row in rows_of(table, plan.spec.seed)]
+    return [*rows, _failed(record["unit"], record["error"])] if record["error"] else rows
 
 
 def _grouped(rows: Iterable[Row]) -> Iterator[list[Row]]:

@@ -30,6 +30,8 @@ _log = logging.getLogger("brdf_fitter.batch")
 
 #: The record of a finished unit, in its folder.
 RECORD = "unit.json"
+#: That of one of a unit's several tables.
+TABLE = "table.json"
 KIND = "brdf-fitter/batch-unit"
 
 
@@ -46,8 +48,18 @@ def start() -> None:
         _log.warning("compiled programs are not kept: %s can't be written (%s)", folder, error.strerror)
 
 
-def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -> bool:
-    """Do one unit and write its record to its folder; whether it failed. Arguments are plain data.
+def work(
+    unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str,
+    share: tuple[int, int] | None = None, *, split: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Do one unit and write its record to its folder. Arguments and result are plain data.
+
+    share : (k, n): of a unit of several tables only every n-th from the k-th; the record is left to the
+        caller.
+    split : do nothing where the unit holds several tables, but say how many.
+
+    Returns ``failed``, and of a share the ``record`` and which tables it is of (``order``); or, where it is
+    to be split, ``tables``, their number.
 
     What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
     where the disk is full: then nothing else will work either.
@@ -60,11 +72,19 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
     (folder / RECORD).unlink(missing_ok=True)  # of an earlier attempt
     tables: list[dict[str, Any]] = []
     problem: dict[str, Any] | None = None
+    order: list[int] = []
     try:
         opened = _opened(todo)
-        for table, name in zip(opened, _names(todo, opened), strict=True):
-            place = folder if len(opened) == 1 else folder / name
-            tables.append(_table(table, name, place, asked, todo, Path(out)))
+        if split and len(opened) > 1:
+            return {"tables": len(opened)}
+        names = _names(todo, opened)
+        for k in range(len(opened)) if share is None else range(share[0], len(opened), share[1]):
+            place = folder if len(opened) == 1 else folder / names[k]
+            known = _known(place, key) if len(opened) > 1 else None
+            tables.append(known or _table(opened[k], names[k], place, asked, todo, Path(out)))
+            order.append(k)
+            if len(opened) > 1 and known is None:
+                write_document({"key": key, "table": tables[-1]}, place / TABLE)
     except FitterError as error:
         problem = error.to_dict()
     except OSError:
@@ -76,9 +96,30 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
             "cause": "a fault of the program; the worker's output has the details", "remedy": "report it",
         }  # fmt: skip
     record = record_of(todo, key, time.monotonic() - begun, tables, problem)
-    write_record(Path(out), record)
     forget_when_many()
-    return failed(record)
+    if share is not None:
+        return {"failed": failed(record), "record": record, "order": order}
+    write_record(Path(out), record)
+    return {"failed": failed(record)}
+
+
+def _known(place: Path, key: str) -> dict[str, Any] | None:
+    """One of a unit's several tables, where it was done as asked now before the unit was stopped."""
+    path = place / TABLE
+    try:
+        document = read_document(path, "not-a-batch") if path.exists() else {}
+    except SpecError:
+        return None  # done again, which mends it
+    table = document.get("table")
+    return table if document.get("key") == key and isinstance(table, dict) and "best" in table else None
+
+
+def count(unit: Unit) -> int:
+    """Tables that the unit holds; 1 where it can't be read."""
+    try:
+        return len(_opened(unit))
+    except (FitterError, OSError):
+        return 1
 
 
 def record_of(

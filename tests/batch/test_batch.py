@@ -144,7 +144,7 @@ def test_workers_of_its_own(tables: Path, tmp_path: Path, done: Path):
 
 
 def test_a_scheduler_that_is_not_there(tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("fitter.batch.running._PATIENCE", 0.5)
+    monkeypatch.setattr("fitter.batch.cluster._PATIENCE", 0.5)
     with pytest.raises(SpecError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         run(_planned(tables), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
 

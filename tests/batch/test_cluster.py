@@ -43,6 +43,29 @@ def _wait(until: Callable[[], Any], what: str) -> None:
         time.sleep(0.1)
 
 
+def test_tables_of_one_file_are_shared_out(tmp_path: Path, write_table: Write) -> None:
+    """The workers' record is the one that a single process writes, and keeps what had been finished."""
+    one = [write_table(tmp_path / f"t{k}.csv", 0.1 + 0.05 * k).read_text().splitlines() for k in range(10)]
+    text = [f"{one[0][0]},item", *(f"{row},s{k}" for k in range(10) for row in one[k][1:])]
+    (tmp_path / "all.csv").write_text("\n".join([*text, ""]))
+    what = plan(batch_spec({"tables": [str(tmp_path / "all.csv")], "models": ["ward"], "report": False}))
+    found = run(what, tmp_path / "two", workers=2)
+    assert (found.done, found.failed) == (1, 0)
+
+    run(what, tmp_path / "one", workers=1)
+    rows = rows_without_times(tmp_path / "two")
+    assert [row["table"] for row in rows] == [f"all/s{k}" for k in range(10)]
+    assert rows == rows_without_times(tmp_path / "one")
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("one/tables/all/*/table.json")}
+    gone = tmp_path / "one" / "tables" / "all"
+    (gone / "unit.json").unlink()
+    (gone / "s4" / "table.json").unlink()
+    run(what, tmp_path / "one", workers=1)
+    after = {path: path.stat().st_mtime_ns for path in before}
+    assert [path.parent.name for path in before if before[path] != after[path]] == ["s4"]
+    assert rows == rows_without_times(tmp_path / "one")
+
+
 def test_one_worker_added_and_one_killed(tmp_path: Path, write_table: Write) -> None:
     """All results once, and the same numbers as in one process left alone."""
     pytest.importorskip("distributed")
