@@ -171,6 +171,7 @@ def client(workers: int, scheduler: str | None) -> Generator[Client]:
     """A client of the scheduler, or of a cluster of this machine that ends with it."""
     try:
         from distributed import Client, LocalCluster
+        from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise SpecError(
             "several workers need Dask, which is not installed", code="needs-dask", parameter="workers",
@@ -178,6 +179,7 @@ def client(workers: int, scheduler: str | None) -> Generator[Client]:
         ) from error  # fmt: skip
     if scheduler is not None:
         try:
+            get_address_host_port(scheduler, strict=True)  # a client of no address takes long to end
             found = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
             raise SpecError(

@@ -147,6 +147,9 @@ def test_a_scheduler_that_is_not_there(tables: Path, tmp_path: Path, monkeypatch
     monkeypatch.setattr("fitter.batch.cluster._PATIENCE", 0.5)
     with pytest.raises(SpecError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         run(_planned(tables), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+    for address in ("nonsense", "tcp://127.0.0.1"):
+        with pytest.raises(SpecError, match=f"no Dask scheduler answers at {address}"):
+            run(_planned(tables), tmp_path / "out", scheduler=address)
 
 
 def test_a_full_disk_says_so_and_loses_nothing(tables: Path, tmp_path: Path):
