@@ -44,7 +44,7 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """One fault: its file, from the root; its place among those the file offers; its line; what became of what."""
+    """One fault: its file, from the root; its place among those the file offers; line; what it changes."""
 
     path: str
     place: int
