@@ -7,10 +7,10 @@ WORKERS ?= auto
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint docs bench evidence serve lock clean
+.PHONY: help install demo test lint docs bench evidence serve image-check lock clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 install: .venv/.installed ## set up .venv
 
@@ -51,6 +51,10 @@ evidence: .venv/.installed ## run the long studies into docs/evidence.md; ARGS="
 
 serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
 	$(BIN)/brdf-fitter serve $(ARGS)
+
+# Root and debootstrap; ARGS="--lend /etc/pip.conf" where pip needs something of this machine.
+image-check: .venv/.installed ## do the Dockerfile's steps without a container engine
+	$(BIN)/python -m tests.image --work $(or $(IMAGE),/var/tmp/brdf-fitter-image) $(ARGS)
 
 lock: ## resolve requirements.lock and docs/requirements.lock again (needs uv)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \

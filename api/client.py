@@ -1,9 +1,9 @@
 """Client: the service from Python. Tests and ``brdf-fitter --server`` use it.
 
-    with Client("http://127.0.0.1:8000") as client:
-        table = client.upload("paint.astm")
-        job = client.wait(client.start("fits", table=table.id, model="ward"))
-        fit = client.fit(job.results[0]["id"])
+with Client("http://127.0.0.1:8000") as client:
+    table = client.upload("paint.astm")
+    job = client.wait(client.start("fits", table=table.id, model="ward"))
+    fit = client.fit(job.results[0]["id"])
 """
 
 from __future__ import annotations
@@ -127,6 +127,10 @@ class Client:
 
     def table(self, id: str) -> TableDocument:
         return self._get(f"/v1/tables/{id}", TableDocument)
+
+    def content(self, id: str) -> bytes:
+        """The bytes that were uploaded as this table."""
+        return self.request("GET", f"/v1/tables/{id}/content").content
 
     def tables(self) -> Iterator[TableDocument]:
         """All tables, newest first."""

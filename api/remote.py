@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 
 from api.client import Client, Document, ServiceFailed
 from api.schemas import TableDocument
+from fitter.batch import SERVER, BatchSpec, Fetched
 from fitter.cli import reading
 from fitter.cli.results import fits_document, show_fit
 from fitter.cli.screen import Screen
 from fitter.cli.values import output_file, output_folder
 from fitter.cli.verb import DONE, WORK_FAILED, Outcome
+from fitter.cli.verbs import batch as batch_verb
 from fitter.cli.verbs import fit as fit_verb
 from fitter.cli.verbs import sample as sample_verb
 from fitter.cli.verbs.check import show_check
@@ -27,6 +30,7 @@ from fitter.cli.verbs.posterior import posterior_asked, show_posterior
 from fitter.directions import vector_from_spherical
 from fitter.documents import FITS, file_stem, read_document, write_bytes, write_document
 from fitter.errors import SpecError
+from fitter.formats import read_options
 from fitter.quality import Check, Finding
 from fitter.spec import ModelSpec
 
@@ -40,7 +44,7 @@ def run(given: argparse.Namespace, screen: Screen, *, key: str | None) -> Outcom
     """Have the service do the work of a verb. Raises FitterError, as the verb and the client do."""
     verbs: Mapping[str, _Run] = {
         "info": _info, "check": _check, "fit": _fit, "posterior": _posterior, "report": _report,
-        "sample": _sample,
+        "sample": _sample, "batch": _batch,
     }  # fmt: skip
     if given.verb not in verbs:
         raise SpecError(
@@ -229,6 +233,33 @@ def _sample(client: Client, given: argparse.Namespace, screen: Screen) -> Outcom
         channels = [str(channel["name"]) for channel in table.description["channels"]]
         origin = {"table": table.name, "path": given.table, "id": table.id}
     return sample_verb.outcome(given, _samples(array, headers), channels, origin, slices, out)
+
+
+def _batch(client: Client, given: argparse.Namespace, screen: Screen) -> Outcome:
+    """The work is done here; tables that are named by ids come from the service."""
+
+    def fetch(spec: BatchSpec, folder: Path) -> dict[str, Fetched]:
+        words = [word for word in spec.tables if word.startswith(SERVER)]
+        # All ids are known before the first table is fetched.
+        found = {word: client.table(word.removeprefix(SERVER)) for word in words}
+        names = [one.name for one in found.values()]
+        fetched: dict[str, Fetched] = {}
+        with screen.progress("fetching tables") as progress:
+            for k, (word, one) in enumerate(found.items()):
+                progress(k / len(found), one.name)
+                path = folder / one.id
+                if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != one.sha256:
+                    write_bytes(client.content(one.id), path)
+                alone = names.count(one.name) == 1
+                name = Path(one.name).stem if alone else f"{Path(one.name).stem}-{one.id[:8]}"
+                reading = {key: item for key, item in one.options.items() if key != "name"}
+                fetched[word] = Fetched(path, name, read_options(reading).to_dict())
+        return fetched
+
+    given.tables = [
+        f"{SERVER}{one}" if _ID.fullmatch(one) and not Path(one).exists() else one for one in given.tables
+    ]
+    return batch_verb.run(given, screen, fetch)
 
 
 def _samples(array: NDArray[Any], headers: httpx.Headers) -> Any:

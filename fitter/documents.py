@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import orjson
@@ -41,23 +42,31 @@ def file_stem(name: str, longest: int = 80) -> str:
     return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:longest] or "table"
 
 
-def write_bytes(content: bytes, path: Path) -> None:
-    """Write aside in the same folder and rename, so that no reader ever sees half a file."""
+@contextmanager
+def aside(path: Path) -> Generator[IO[bytes]]:
+    """A stream into a file of the same folder, which takes the place of ``path`` when the block ends well: no
+    reader ever sees half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         # mkstemp makes files private; results are ordinary files.
         mask = os.umask(0)
         os.umask(mask)
-        Path(aside).chmod(0o666 & ~mask)
-        Path(aside).replace(path)
+        Path(name).chmod(0o666 & ~mask)
+        Path(name).replace(path)
     except BaseException:
-        Path(aside).unlink(missing_ok=True)
+        Path(name).unlink(missing_ok=True)
         raise
+
+
+def write_bytes(content: bytes, path: Path) -> None:
+    """Write a file aside and rename it into place."""
+    with aside(path) as stream:
+        stream.write(content)
 
 
 def write_document(document: Mapping[str, Any], path: Path) -> None:

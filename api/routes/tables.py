@@ -255,6 +255,22 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
     return respond_samples(request, drawn, _channels(opened.table), slices)
 
 
+@router.get(
+    "/{id}/content", response_class=Response,
+    responses={
+        **problems(404, 422),
+        200: {"content": {"application/octet-stream": {}}, "description": "The bytes"},
+    },
+)  # fmt: skip
+def content(id: str, here: Here) -> Response:
+    """The bytes that were uploaded. Read with the table's `options` they are the table again."""
+    row = here.get(TableRow, id)
+    return Response(
+        here.service.blobs.read(row.sha256), media_type="application/octet-stream",
+        headers={"Content-Disposition": "attachment"},
+    )  # fmt: skip
+
+
 @router.get("/{id}/info", response_model=schemas.InfoDocument, responses=problems(404, 422))
 def info(id: str, here: Here) -> Response:
     """What a table's bytes were read as, its noise and its blind spots, as `brdf-fitter info --json`."""

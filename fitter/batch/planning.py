@@ -7,12 +7,12 @@ import glob
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fitter.batch.specification import BatchSpec
+from fitter.batch.specification import SERVER, BatchSpec
 from fitter.documents import file_stem
 from fitter.errors import SpecError, TableError
 from fitter.formats import archives
@@ -79,31 +79,56 @@ class Plan:
         }  # fmt: skip
 
 
-def plan(spec: BatchSpec) -> Plan:
+@dataclass(frozen=True)
+class Fetched:
+    """A service's table, here: the file of its bytes, its name, and how it is read."""
+
+    path: Path
+    name: str
+    reading: Mapping[str, Any]
+
+
+def plan(spec: BatchSpec, fetched: Mapping[str, Fetched] | None = None) -> Plan:
     """Find the files. Formats are told by the files' first bytes; nothing is read further.
+
+    fetched : of every table ``server:ID`` what has come of it.
 
     Raises
     ------
     SpecError : a pattern that matches nothing, a path that isn't there, two tables of one name, a bad
-        manifest.
+        manifest, a service's table that wasn't fetched.
     """
     units: list[Unit] = []
     refused: list[Mapping[str, Any]] = []
-    for unit, error in _units(spec):
+    for unit, error in _units(spec, fetched or {}):
         if error is None:
             units.append(unit)
         else:
             refused.append({"table": unit.name, "path": unit.paths[0], "error": error.to_dict()})
     _refuse_twins([*units, *(Unit(one["table"], (one["path"],)) for one in refused)])
-    # Tables of one format and size lie side by side, so that a worker's compiled programs serve the next.
-    units.sort(key=lambda unit: (unit.format, unit.size, unit.name))
+    # Tables of one format and size lie side by side, so that a worker's compiled programs serve the next; the
+    # large ones come first, so that none begins when all other workers are about to end.
+    largest: dict[str, int] = {}
+    for unit in units:
+        largest[unit.format] = max(unit.size, largest.get(unit.format, 0))
+    units.sort(key=lambda unit: (-largest[unit.format], unit.format, -unit.size, unit.name))
     return Plan(spec, tuple(units), tuple(refused))
 
 
-def _units(spec: BatchSpec) -> Iterator[tuple[Unit, TableError | None]]:
+def _units(spec: BatchSpec, fetched: Mapping[str, Fetched]) -> Iterator[tuple[Unit, TableError | None]]:
     reading = dict(spec.reading)
     for pattern in spec.tables:
-        yield from _told(_files_of(pattern), reading)
+        if not pattern.startswith(SERVER):
+            yield from _told(_files_of(pattern), reading)
+        elif pattern in fetched:
+            one = fetched[pattern]
+            for unit, error in _told([one.path], {**reading, **one.reading}, whole=True):
+                yield _renamed(unit, one.name), error
+        else:
+            raise SpecError(
+                f"{pattern} is a table of a service", code="batch-no-server", parameter="server",
+                remedy="say which one: brdf-fitter --server URL batch ...",
+            )  # fmt: skip
     if spec.manifest is not None:
         for path, name, options in _manifest(Path(spec.manifest)):
             for unit, error in _told([path], {**reading, **options}):
@@ -129,15 +154,22 @@ def _files_of(pattern: str) -> list[Path]:
 
 
 def _told(
-    files: Sequence[Path], reading: Mapping[str, Any]
+    files: Sequence[Path], reading: Mapping[str, Any], *, whole: bool = False
 ) -> Iterator[tuple[Unit, TableError | None]]:
-    """The units of files, archives opened, and measurements of several files in one folder put together."""
+    """The units of files, archives opened, and measurements of several files in one folder put together.
+
+    whole : an archive is one table, also where it does not say which.
+    """
     together: dict[tuple[str, Path], list[Path]] = {}
     for path in files:
         try:
             source = Source(path)
             if archives.is_archive(source):
-                yield from _members(path, source, reading)
+                if "item" in reading or whole:
+                    unit = _unit(path.stem, [path], None, reading)
+                    yield replace(unit, format="zip"), None
+                else:
+                    yield from _members(path, source, reading)
                 continue
             entry = detect(source)
         except TableError as error:
@@ -209,7 +241,7 @@ def _manifest(path: Path) -> Iterator[tuple[Path, str | None, dict[str, Any]]]:
 
 def _renamed(unit: Unit, name: str) -> Unit:
     suffix = "" if unit.member is None else f"-{folder_name(Path(unit.member).stem)}"
-    return Unit(folder_name(name) + suffix, unit.paths, unit.member, unit.format, unit.size, unit.reading)
+    return replace(unit, name=folder_name(name) + suffix)
 
 
 def _refuse_twins(units: Sequence[Unit]) -> None:

@@ -6,35 +6,19 @@ is finished is finished: running the same plan into the same folder again does t
 
 from __future__ import annotations
 
-import errno
 import os
-import tempfile
 import time
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fitter import progress as reporting
-from fitter.batch import summing, working
+from fitter.batch import cluster, summing, working
+from fitter.batch.disk import disk
 from fitter.batch.planning import Plan, Unit
 from fitter.documents import write_document
-from fitter.errors import FitError, SpecError
-
-if TYPE_CHECKING:
-    from distributed import Client
-
-#: Tasks that a scheduler holds for each worker: enough that none waits, few enough for a million tables.
-_AHEAD = 4
-#: Seconds between two reports of progress, and to wait for a scheduler.
-_LOOK_EVERY, _PATIENCE = 0.5, 10.0
-#: A worker has one core: more threads than that only stand in each other's way.
-_ONE_THREAD = {
-    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1",
-}  # fmt: skip
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -69,36 +53,40 @@ def run(
 
     Raises
     ------
-    SpecError : the scheduler isn't there; Dask is not installed. FitError : the disk is full.
+    SpecError : the scheduler isn't there; Dask is not installed. FitError : the disk is full; the scheduler
+    went away.
     """
     begun = time.monotonic()
     folder = Path(out).resolve()
-    records: list[dict[str, Any]] = []
-    todo: list[tuple[Unit, str]] = []
-    for unit in what.units:
-        key = unit.key(what.work)
-        found = working.finished(unit, key, folder)
-        if found is None:
-            todo.append((unit, key))
-        else:
-            records.append(found)
-    kept = len(records)
+    keys = {unit.name: unit.key(what.work) for unit in what.units}
+    todo = [unit for unit in what.units if not _finished(unit, keys, folder)]
     spec = what.spec.model_dump(mode="json")
-    with _disk(folder):
+    with disk(folder):
         write_document({"kind": "brdf-fitter/batch", "spec": spec, **what.to_dict()}, folder / "batch.json")
     counter = _Counter(len(todo), progress)
     try:
         if todo:
             count = workers or os.cpu_count() or 1
-            with _records(todo, spec, folder, min(count, len(todo)), scheduler, counter) as arriving:
-                for record in arriving:
-                    records.append(record)
-                    counter.one(record)
+            if len(todo) < count and scheduler is None:
+                # No more workers than tables, of which a file may hold several.
+                count = min(count, sum(working.count(unit) for unit in todo))
+            tasks = ((unit, keys[unit.name]) for unit in todo)
+            with _ends(tasks, spec, folder, count, scheduler, counter) as arriving:
+                for failed in arriving:
+                    counter.one(failed)
     finally:
-        with _disk(folder):
-            summing.write(records, what, folder)
-    failed = sum(working.failed(record) for record in records) + len(what.refused)
-    return Done(folder, len(records) - kept, kept, failed, time.monotonic() - begun)
+        with disk(folder):
+            summing.write(what, keys, folder)
+    return Done(
+        folder, counter.done, len(what.units) - len(todo), counter.failed + len(what.refused),
+        time.monotonic() - begun,
+    )  # fmt: skip
+
+
+def _finished(unit: Unit, keys: Mapping[str, str], folder: Path) -> bool:
+    """Whether the unit was done as asked now and did not fail."""
+    record = working.read_record(folder, unit.name)
+    return record is not None and record.get("key") == keys[unit.name] and not working.failed(record)
 
 
 class _Counter:
@@ -107,140 +95,47 @@ class _Counter:
     def __init__(self, total: int, report: reporting.Progress) -> None:
         self._total = total
         self._report = report
-        self._done = self._failed = 0
+        self.done = self.failed = 0
         self._begun = time.monotonic()
 
-    def one(self, record: dict[str, Any]) -> None:
-        self._done += 1
-        self._failed += working.failed(record)
+    def one(self, failed: bool) -> None:
+        self.done += 1
+        self.failed += failed
         self.say(0)
 
-    def say(self, running: int) -> None:
-        words = f"{self._done} of {self._total} done"
-        if running:
+    def say(self, running: int | None) -> None:
+        """``running`` : tasks under way; None where there is no worker to do them."""
+        words = f"{self.done} of {self._total} done"
+        if running is None:
+            words += ", waiting for a worker"
+        elif running:
             words += f", {running} running"
-        if self._failed:
-            words += f", {self._failed} failed"
-        if self._done:
-            left = (time.monotonic() - self._begun) / self._done * (self._total - self._done)
+        if self.failed:
+            words += f", {self.failed} failed"
+        if self.done:
+            left = (time.monotonic() - self._begun) / self.done * (self._total - self.done)
             words += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
-        self._report(self._done / self._total, words)
+        self._report(self.done / self._total, words)
 
 
 @contextmanager
-def _records(
-    todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, workers: int, scheduler: str | None,
+def _ends(
+    todo: Iterator[tuple[Unit, str]], spec: dict[str, Any], folder: Path, workers: int, scheduler: str | None,
     counter: _Counter,
-) -> Generator[Iterator[dict[str, Any]]]:  # fmt: skip
+) -> Generator[Iterator[bool]]:  # fmt: skip
+    """Does the tasks; for each that ends, whether it failed. Its record is on the disk by then."""
     if scheduler is None and workers == 1:
         yield _here(todo, spec, folder, counter)
         return
-    with _client(workers, scheduler) as client:
-        yield _on_cluster(client, todo, spec, folder, counter)
+    with cluster.client(workers, scheduler) as client:
+        yield cluster.ends(client, todo, spec, folder, counter.say)
 
 
 def _here(
-    todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, counter: _Counter
-) -> Iterator[dict[str, Any]]:
+    todo: Iterator[tuple[Unit, str]], spec: dict[str, Any], folder: Path, counter: _Counter
+) -> Iterator[bool]:
     for unit, key in todo:
         counter.say(1)
-        with _disk(folder):
-            record = working.work(unit.to_dict(), spec, key, str(folder))
-        yield record
-
-
-def _on_cluster(
-    client: Client, todo: Sequence[tuple[Unit, str]], spec: dict[str, Any], folder: Path, counter: _Counter
-) -> Iterator[dict[str, Any]]:
-    from distributed import KilledWorker, wait
-
-    waiting = iter(todo)
-    running: dict[Any, tuple[Unit, str]] = {}
-    try:
-        while True:
-            room = _AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])) - len(running)
-            for _, (unit, key) in zip(range(room), waiting, strict=False):
-                future = client.submit(
-                    working.work, unit.to_dict(), spec, key, str(folder), key=f"batch-{key}", pure=False
-                )
-                running[future] = unit, key
-            if not running:
-                return
-            with client.as_current(), suppress(TimeoutError):  # nothing finished meanwhile
-                wait(list(running), timeout=_LOOK_EVERY, return_when="FIRST_COMPLETED")
-            for future in [one for one in running if one.done()]:
-                unit, key = running.pop(future)
-                try:
-                    with _disk(folder):
-                        record = future.result()
-                except KilledWorker as error:
-                    record = _lost(unit, key, error)
-                yield record
-            counter.say(len(running))
-    finally:
-        for future in running:
-            future.cancel()
-
-
-def _lost(unit: Unit, key: str, error: Exception) -> dict[str, Any]:
-    """The record of a unit under which several workers died, one after another."""
-    problem = {
-        "code": "batch-worker-died", "message": "every worker that began this table died",
-        "file": unit.paths[0],
-        "cause": f"it needs more memory than a worker has ({error})",
-        "remedy": "fit it alone with `brdf-fitter fit`, or with fewer --workers",
-    }  # fmt: skip
-    return {
-        "kind": working.KIND, "key": key, "unit": unit.to_dict(), "seconds": None, "tables": [],
-        "error": problem,
-    }  # fmt: skip
-
-
-@contextmanager
-def _disk(folder: Path) -> Generator[None]:
-    """Turns a disk that takes no more into an error that says what to do."""
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in _FULL
-        raise FitError(
-            f"the disk of {folder} is full" if full
-            else f"results can't be written: {error.strerror or error}",
-            code="disk-full" if full else "output-unwritable", file=str(folder),
-            remedy=("make room" if full else "mend that") + " and give the same command again: what is "
-            "finished is kept",
-        ) from error  # fmt: skip
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Generator[Client]:
-    """A client of the scheduler, or of a cluster of this machine that ends with it."""
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise SpecError(
-            "several workers need Dask, which is not installed", code="needs-dask", parameter="workers",
-            remedy="pip install 'brdf-fitter[dask]', or work in one process with --workers 1",
-        ) from error  # fmt: skip
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise SpecError(
-                f"no Dask scheduler answers at {scheduler}", code="scheduler-unreachable",
-                parameter="scheduler", cause=str(error) or None,
-                remedy="start one with `dask scheduler`, or leave the option out",
-            ) from error  # fmt: skip
-        with client:
-            yield client
-        return
-    with (
-        tempfile.TemporaryDirectory(prefix="brdf-batch-") as place,
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-            local_directory=place, env=_ONE_THREAD, silence_logs=50,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):  # fmt: skip
-        yield client
-
+        with disk(folder):
+            failed = working.work(unit.to_dict(), spec, key, str(folder))["failed"]
+        yield failed

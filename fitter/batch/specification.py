@@ -14,12 +14,15 @@ from fitter.formats.read_options import read_options
 from fitter.model_spec import FAMILIES, ModelSpec, model_spec, validated
 from fitter.spec import AUTO, FitSettings, FitSpec, PosteriorSpec
 
+#: What the name of a service's table begins with; its id follows.
+SERVER = "server:"
+
 
 class BatchSpec(FitSettings):
     """Many fits. Paths are taken from the folder of the file that the specification stands in.
 
     tables : files, folders (their visible files), zip archives, and patterns with ``*``, ``?``, ``[...]``
-        and ``**``.
+        and ``**``; ``server:ID`` is a table of the service that ``--server`` names.
     manifest : a CSV file with a column ``path`` and, where wanted, ``name`` (of the output folder) and any
         reading option, for tables that differ in these.
     reading : options of :func:`fitter.load` for all tables.
@@ -113,7 +116,7 @@ def read_spec(path: str | Path) -> BatchSpec:
     folder = path.resolve().parent
     return found.model_copy(
         update={
-            "tables": tuple(str(folder / one) for one in found.tables),
+            "tables": tuple(one if one.startswith(SERVER) else str(folder / one) for one in found.tables),
             "manifest": None if found.manifest is None else str(folder / found.manifest),
         }
     )

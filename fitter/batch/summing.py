@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+import pyarrow as pa
+from pyarrow import parquet
 
 from fitter._version import __version__
 from fitter.batch import page
 from fitter.batch.planning import Plan
-from fitter.documents import write_bytes
+from fitter.batch.working import read_record
+from fitter.documents import aside, write_bytes
 
 Row = dict[str, Any]
 
@@ -21,21 +27,65 @@ _FIRST = (
     "usable", "metric", "read_seconds", "seconds", "posterior", "posterior_seconds", "format", "path",
     "member", "folder", "sha256", "hash", "seed", "version",
 )  # fmt: skip
+_TEXT = (
+    "table", "model", "status", "error", "metric", "posterior", "format", "path", "member", "folder",
+    "sha256", "hash", "version",
+)  # fmt: skip
+#: Rows that are written together: a row group of the Parquet file.
+_GROUP = 10_000
 
 
-def write(records: Sequence[Mapping[str, Any]], plan: Plan, folder: Path) -> None:
-    """``summary.csv``, ``summary.parquet`` and ``index.html`` of what is there, each aside and renamed."""
-    tables = [dict(table) for record in records for table in record["tables"]]
-    failed = [
-        _failed(one["unit"]["name"], one["unit"], one["error"]) for one in records if one["error"]
-    ]
-    failed += [_failed(one["table"], {"paths": [one["path"]]}, one["error"]) for one in plan.refused]
-    rows = [row for table in tables for row in rows_of(table, plan.spec.seed)] + failed
-    rows.sort(key=lambda row: (row["table"], row["model"] or ""))
-    columns = [*_FIRST, *sorted({name for row in rows for name in row} - set(_FIRST))]
-    write_bytes(_csv(rows, columns), folder / "summary.csv")
-    write_bytes(_parquet(rows, columns), folder / "summary.parquet")
-    write_bytes(page.render(tables, failed).encode(), folder / "index.html")
+def write(plan: Plan, keys: Mapping[str, str], folder: Path) -> None:
+    """``summary.csv``, ``summary.parquet`` and ``index.html`` of what is there, each aside and renamed.
+
+    keys : by a unit's name, that of its record, where it was done as asked now.
+
+    The records are read from the disk one after another, twice: how many there are does not matter to the
+    memory.
+    """
+    found: dict[str, None] = {}
+    index = page.Index(plan.spec.report)
+    for record in _records(plan, keys, folder):
+        for row in _rows(record, plan):
+            found.update(dict.fromkeys(row))
+        index.add(record)
+    columns = [*_FIRST, *sorted(set(found) - set(_FIRST))]
+    schema = _schema(columns)
+    with (
+        aside(folder / "summary.csv") as text,
+        aside(folder / "summary.parquet") as packed,
+        _csv(text, columns) as csv_rows,
+        parquet.ParquetWriter(packed, schema) as parquet_rows,
+    ):
+        for rows in _grouped(row for record in _records(plan, keys, folder) for row in _rows(record, plan)):
+            csv_rows.writerows(rows)
+            parquet_rows.write_table(pa.Table.from_pylist(rows, schema))
+    write_bytes(index.render().encode(), folder / "index.html")
+
+
+def _records(plan: Plan, keys: Mapping[str, str], folder: Path) -> Iterator[Mapping[str, Any]]:
+    """Of the units that were done as asked now and of those that couldn't be planned, by name."""
+    refused = {one["table"]: one for one in plan.refused}
+    for name in sorted([*(unit.name for unit in plan.units), *refused]):
+        if name in refused:
+            one = refused[name]
+            unit = {"name": name, "paths": [one["path"]], "member": None}
+            yield {"unit": unit, "tables": [], "error": one["error"]}
+            continue
+        record = read_record(folder, name)
+        if record is not None and record.get("key") == keys[name]:
+            yield record
+
+
+def _rows(record: Mapping[str, Any], plan: Plan) -> list[Row]:
+    rows = [row for table in record["tables"] for row in rows_of(table, plan.spec.seed)]
+    return [*rows, _failed(record["unit"], record["error"])] if record["error"] else rows
+
+
+def _grouped(rows: Iterable[Row]) -> Iterator[list[Row]]:
+    waiting = iter(rows)
+    while group := list(itertools.islice(waiting, _GROUP)):
+        yield group
 
 
 def rows_of(table: Mapping[str, Any], seed: int) -> list[Row]:
@@ -51,7 +101,7 @@ def rows_of(table: Mapping[str, Any], seed: int) -> list[Row]:
         row |= {"model": fit["model"], "best": fit["model"] == table.get("best")}
         row |= {"seed": seed, "version": __version__}
         if "error" in fit:
-            row |= {"status": "failed", "error": _sentence(fit["error"])}
+            row |= {"status": "failed", "error": page.sentence(fit["error"])}
         else:
             row |= {"status": fit["status"], "metric": fit["metric"], "seconds": fit["seconds"]}
             row |= {name: fit["metrics"].get(name) for name in ("objective", "rmse", "relative_rmse", "r2")}
@@ -76,38 +126,24 @@ def _parameters(fit: Mapping[str, Any]) -> Row:
     return row
 
 
-def _failed(name: str, unit: Mapping[str, Any], error: Mapping[str, Any]) -> Row:
+def _failed(unit: Mapping[str, Any], error: Mapping[str, Any]) -> Row:
     row: Row = dict.fromkeys(_FIRST)
     return row | {
-        "table": name, "path": unit["paths"][0], "member": unit.get("member"), "status": "failed",
-        "error": _sentence(error), "best": False, "version": __version__,
+        "table": unit["name"], "path": unit["paths"][0], "member": unit["member"], "status": "failed",
+        "error": page.sentence(error), "best": False, "version": __version__,
     }  # fmt: skip
 
 
-def _sentence(error: Mapping[str, Any]) -> str:
-    place = ", ".join(f"{key} {error[key]}" for key in ("file", "row", "column", "parameter") if key in error)
-    return f"{place}: {error['message']}" if place else str(error["message"])
-
-
-def _csv(rows: Sequence[Row], columns: Sequence[str]) -> bytes:
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
+@contextmanager
+def _csv(stream: IO[bytes], columns: Sequence[str]) -> Generator[csv.DictWriter[str]]:
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue().encode()
+    yield writer
+    text.detach()  # which writes what is left; the stream is its owner's to close
 
 
-def _parquet(rows: Sequence[Row], columns: Sequence[str]) -> bytes:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    text = {
-        "table", "model", "status", "error", "metric", "posterior", "format", "path", "member", "folder",
-        "sha256", "hash", "version",
-    }  # fmt: skip
+def _schema(columns: Sequence[str]) -> Any:
     kinds = {"best": pa.bool_(), "samples": pa.int64(), "usable": pa.int64(), "seed": pa.int64()}
-    kinds |= dict.fromkeys(text, pa.string())
-    schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in columns])
-    stream = io.BytesIO()
-    parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema), stream)
-    return stream.getvalue()
+    kinds |= dict.fromkeys(_TEXT, pa.string())
+    return pa.schema([(name, kinds.get(name, pa.float64())) for name in columns])

@@ -30,6 +30,8 @@ _log = logging.getLogger("brdf_fitter.batch")
 
 #: The record of a finished unit, in its folder.
 RECORD = "unit.json"
+#: That of one of a unit's several tables.
+TABLE = "table.json"
 KIND = "brdf-fitter/batch-unit"
 
 
@@ -46,8 +48,18 @@ def start() -> None:
         _log.warning("compiled programs are not kept: %s can't be written (%s)", folder, error.strerror)
 
 
-def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -> dict[str, Any]:
-    """Do one unit; its record, which is written to its folder, too. Arguments and result are plain data.
+def work(
+    unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str,
+    share: tuple[int, int] | None = None, *, split: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Do one unit and write its record to its folder. Arguments and result are plain data.
+
+    share : (k, n): of a unit of several tables only every n-th from the k-th; the record is left to the
+        caller.
+    split : do nothing where the unit holds several tables, but say how many.
+
+    Returns ``failed``, and of a share the ``record`` and which tables it is of (``order``); or, where it is
+    to be split, ``tables``, their number.
 
     What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
     where the disk is full: then nothing else will work either.
@@ -57,13 +69,22 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
     asked = batch_spec(spec)
     folder = Path(out) / TABLES / todo.name
     begun = time.monotonic()
+    (folder / RECORD).unlink(missing_ok=True)  # of an earlier attempt
     tables: list[dict[str, Any]] = []
     problem: dict[str, Any] | None = None
+    order: list[int] = []
     try:
         opened = _opened(todo)
-        for table, name in zip(opened, _names(todo, opened), strict=True):
-            place = folder if len(opened) == 1 else folder / name
-            tables.append(_table(table, name, place, asked, todo, Path(out)))
+        if split and len(opened) > 1:
+            return {"tables": len(opened)}
+        names = _names(todo, opened)
+        for k in range(len(opened)) if share is None else range(share[0], len(opened), share[1]):
+            place = folder if len(opened) == 1 else folder / names[k]
+            known = _known(place, key) if len(opened) > 1 else None
+            tables.append(known or _table(opened[k], names[k], place, asked, todo, Path(out)))
+            order.append(k)
+            if len(opened) > 1 and known is None:
+                write_document({"key": key, "table": tables[-1]}, place / TABLE)
     except FitterError as error:
         problem = error.to_dict()
     except OSError:
@@ -74,13 +95,47 @@ def work(unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str) -
             "code": "internal", "message": f"{type(error).__name__}: {error}", "file": todo.paths[0],
             "cause": "a fault of the program; the worker's output has the details", "remedy": "report it",
         }  # fmt: skip
-    record = {
-        "kind": KIND, "key": key, "unit": todo.to_dict(), "seconds": time.monotonic() - begun,
-        "tables": tables, "error": problem,
-    }  # fmt: skip
-    write_document(record, folder / RECORD)
+    record = record_of(todo, key, time.monotonic() - begun, tables, problem)
     forget_when_many()
-    return record
+    if share is not None:
+        return {"failed": failed(record), "record": record, "order": order}
+    write_record(Path(out), record)
+    return {"failed": failed(record)}
+
+
+def _known(place: Path, key: str) -> dict[str, Any] | None:
+    """One of a unit's several tables, where it was done as asked now before the unit was stopped."""
+    path = place / TABLE
+    try:
+        document = read_document(path, "not-a-batch") if path.exists() else {}
+    except SpecError:
+        return None  # done again, which mends it
+    table = document.get("table")
+    return table if document.get("key") == key and isinstance(table, dict) and "best" in table else None
+
+
+def count(unit: Unit) -> int:
+    """Tables that the unit holds; 1 where it can't be read."""
+    try:
+        return len(_opened(unit))
+    except (FitterError, OSError):
+        return 1
+
+
+def record_of(
+    unit: Unit, key: str, seconds: float | None = None, tables: Sequence[Mapping[str, Any]] = (),
+    error: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """What has become of a unit."""
+    return {
+        "kind": KIND, "key": key, "unit": unit.to_dict(), "seconds": seconds, "tables": list(tables),
+        "error": error,
+    }  # fmt: skip
+
+
+def write_record(out: Path, record: Mapping[str, Any]) -> None:
+    """Write the record into its unit's folder: the unit has ended."""
+    write_document(record, out / TABLES / record["unit"]["name"] / RECORD)
 
 
 def failed(record: Mapping[str, Any]) -> bool:
@@ -88,17 +143,14 @@ def failed(record: Mapping[str, Any]) -> bool:
     return record["error"] is not None or any("best" not in table for table in record["tables"])
 
 
-def finished(unit: Unit, key: str, out: Path) -> dict[str, Any] | None:
-    """The record of a unit that was done as asked now and did not fail; else None."""
-    path = out / TABLES / unit.name / RECORD
-    if not path.exists():
-        return None
+def read_record(out: Path, name: str) -> dict[str, Any] | None:
+    """The record of the unit of that name; None where there is none that can be read."""
+    path = out / TABLES / name / RECORD
     try:
-        record = dict(read_document(path, "not-a-batch"))
+        record = dict(read_document(path, "not-a-batch")) if path.exists() else {}
     except SpecError:
         return None  # done again, which mends it
-    same = record.get("kind") == KIND and record.get("key") == key
-    return record if same and not failed(record) else None
+    return record if record.get("kind") == KIND else None
 
 
 def _opened(unit: Unit) -> list[Table]:
@@ -130,9 +182,7 @@ def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
     return [item if items.count(item) == 1 else f"{item}-{k}" for k, item in enumerate(items)]
 
 
-def _table(
-    table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path
-) -> dict[str, Any]:
+def _table(table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path) -> dict[str, Any]:
     """Fit one table; what the summary says of it. Files of an earlier attempt go first."""
     from fitter.batch.pictures import draw
     from fitter.fitting.result import best

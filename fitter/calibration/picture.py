@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fitter.calibration import bands
-from fitter.report.figures import BLUE, GRID, INK, VERMILLION, plain, styled
+from fitter.report.figures import GRID, INK, plain, styled
+from fitter.report.palette import BLUE, VERMILLION
 
 if TYPE_CHECKING:
     from fitter.calibration.result import Calibration

@@ -60,8 +60,8 @@ def parser(chosen: str | None = None) -> argparse.ArgumentParser:
     )  # fmt: skip
     top.add_argument(
         "--server", metavar="URL",
-        help="have a running service do the work of info, check, fit, posterior, report or sample; an API "
-        "key is taken from BRDF_FITTER_KEY",
+        help="have a running service do the work of info, check, fit, posterior, report or sample, or get a "
+        "batch's tables from it; an API key is taken from BRDF_FITTER_KEY",
     )  # fmt: skip
     top.add_argument("--version", action="version", version=f"brdf-fitter {__version__}")
     verbs: Any = top.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=_Parser)

@@ -16,14 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from fitter.report.palette import colours
 from fitter.report.rounding import significant
 
 Record = Mapping[str, Any]
 
-#: Okabe and Ito's palette, told apart by people with any of the common colour deficiencies.
-BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
-ORDER = (BLUE, VERMILLION, GREEN, PURPLE)
-NAMED = {"R": VERMILLION, "G": GREEN, "B": BLUE}
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
 INK, GRID = "#222222", "#dddddd"
@@ -107,13 +104,6 @@ def plain(text: str, longest: int = 60) -> str:
     shown = "".join(c if c.isprintable() and (ord(c) < 0x500 or c in "—−×≥≤²₀°") else "?" for c in text)
     shown = shown if len(shown) <= longest else shown[: longest - 1] + "…"
     return shown.replace("$", r"\$")
-
-
-def colours(channels: Sequence[str]) -> dict[str, str]:
-    """A colour per channel, at most four; R, G and B keep their own."""
-    if set(channels) <= set(NAMED):
-        return {name: NAMED[name] for name in channels}
-    return dict(zip(channels, ORDER, strict=False))
 
 
 def legend(axes: Axes, **keywords: Any) -> None:

@@ -9,7 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fitter.report import figures
-from fitter.report.figures import BLUE, INK, VERMILLION, Picture, Record, picture, plain
+from fitter.report.figures import INK, Picture, Record, picture, plain
+from fitter.report.palette import BLUE, VERMILLION
 
 #: Fewer draws than this make no density.
 FEWEST_DRAWS = 50

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from fitter.report.figures import GRID, INK, MARKERS, PURPLE, VERMILLION, plain, power_of_ten
+from fitter.report.figures import GRID, INK, MARKERS, plain, power_of_ten
+from fitter.report.palette import PURPLE, VERMILLION
 from fitter.report.plane import is_wide
 from fitter.report.portrait import Cut, Disk, Portrait
 from fitter.report.rounding import percent

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.models.padded import evaluated
 from fitter.report.clean import drawn
-from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, thin
+from fitter.report.fitted import MOST_POINTS, MOST_SAMPLES, Fitted, IndexArray, thin
 
 FloatArray = NDArray[np.float64]
 
@@ -36,12 +36,7 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
     index = fitted.subsample(MOST_SAMPLES, seed)
     wi, wo = fitted.table.directions(index)
     measured = fitted.values(index)
-    difference = measured - evaluated(fitted.fit.model, wi, wo)
-    magnitude = np.abs(fitted.values(fitted.index))
-    floor = 0.01 * np.array([np.median(m) or m.mean() for m in magnitude.T])
-    # An all-zero channel has no scale: nothing relative can be said of it.
-    scale = np.abs(measured) + np.where(floor > 0, floor, np.nan)
-    relative = difference / scale
+    difference, relative = of_rows(fitted, index, wi, wo)
     angles = _angles(wi, wo)
     in_plane = fitted.table.domain.in_plane
     # One pair of angles leaves something out: the others show misfit that it averages away.
@@ -75,7 +70,7 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
             name: {
                 "label": label,
                 "points": drawn(angles[name][point]),
-                "binned": {names[c]: _binned(angles[name], relative[:, c]) for c in fitted.shown},
+                "binned": {names[c]: binned(angles[name], relative[:, c]) for c in fitted.shown},
             }
             for name, label in ANGLES.items()
         },
@@ -85,6 +80,18 @@ def section(fitted: Fitted, seed: int) -> dict[str, Any]:
             _one_map(angles, relative, x, y, [(c, names[c]) for c in fitted.shown]) for x, y in further
         ],
     }  # fmt: skip
+
+
+def of_rows(
+    fitted: Fitted, index: IndexArray, wi: FloatArray, wo: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, C) residuals of rows ``index`` of directions ``wi``, ``wo``: in 1/sr, and relative (DEFINITION)."""
+    measured = fitted.values(index)
+    difference = measured - evaluated(fitted.fit.model, wi, wo)
+    magnitude = np.abs(fitted.values(fitted.index))
+    floor = 0.01 * np.array([np.median(m) or m.mean() for m in magnitude.T])
+    # An all-zero channel has no scale: nothing relative can be said of it.
+    return difference, difference / (np.abs(measured) + np.where(floor > 0, floor, np.nan))
 
 
 def signed_theta_o(wi: FloatArray, wo: FloatArray) -> FloatArray:
@@ -160,7 +167,7 @@ def _systematic_share(relative: FloatArray, x: FloatArray, y: FloatArray) -> flo
     return float(np.clip(1 - (within / (n - cells)) / (total / (n - 1)), 0.0, 1.0))
 
 
-def _binned(angle: FloatArray, relative: FloatArray) -> dict[str, Any]:
+def binned(angle: FloatArray, relative: FloatArray) -> dict[str, Any]:
     """Median and central 90 % of the residual in bins of an angle: its nodes, or equally full bins."""
     good = np.isfinite(relative)
     angle, relative = angle[good], relative[good]

@@ -24,9 +24,12 @@ LEVEL = 0.95
 
 
 def section(
-    fitted: Fitted, posterior: Posterior | None, bands: Predictive | None, seed: int
+    fitted: Fitted, posterior: Posterior | None, bands: Predictive | None, seed: int, *, middle: bool = False
 ) -> dict[str, Any]:
-    """Up to six slices, JSON-ready: theta_o signed in degrees, positive on the specular side; f in 1/sr."""
+    """Up to six slices, JSON-ready: theta_o signed in degrees, positive on the specular side; f in 1/sr.
+
+    middle : only that of the middle incidence.
+    """
     index, tolerance = near_plane(fitted.table, fitted.index)
     if not len(index):
         return {
@@ -42,6 +45,8 @@ def section(
     theta_i, _ = directions.spherical_from_vector(wi)
     signed = signed_theta(wi, wo)
     groups = incidence_groups(np.rad2deg(theta_i))
+    if middle:
+        groups = [groups[len(groups) // 2]]
     names = fitted.fit.model.channels
     shown = tuple(names[c] for c in fitted.shown)
     incidences = [float(np.median(theta_i[g])) for g in groups]

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
-from fitter.report.figures import BLUE, GREEN, GRID, INK, PURPLE, VERMILLION, legend, plain, styled
+from fitter.report.figures import GRID, INK, legend, plain, styled
+from fitter.report.palette import BLUE, GREEN, PURPLE, VERMILLION
 from fitter.tradeoffs.front import front
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ import pytest
 from api.client import Client, Refused, ServiceFailed
 from fitter.cli import main
 from fitter.errors import FitError, SpecError
+from fitter.fitting import load_fit
 from fitter.progress import Cancelled
 
 from .conftest import small_table
@@ -188,3 +189,32 @@ def test_wrong_calls_say_so(
         status = main(["--server", address, *(str(word) for word in words)])
         assert status in (1, 2)
         assert said in capsys.readouterr().err
+
+
+def test_a_batch_of_a_service_s_tables(
+    service: Client, address: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Fetched once, read with their options, fitted here; unknown ids are told before any work."""
+    ids = [service.upload(file, name="paint").id, service.upload(file, name="paint", quantity="ccbrdf").id]
+    assert service.content(ids[0]) == file.read_bytes()
+    out = tmp_path / "out"
+    spec = tmp_path / "b.yaml"
+    spec.write_text(f"tables: ['server:{ids[0]}', 'server:{ids[1]}']\nmodels: [oren_nayar]\nreport: false\n")
+    words = ["--server", address, "batch", str(spec), "--out", str(out), "--workers", "1", "--json"]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["done"] == 2
+    first, second = (
+        load_fit(out / "tables" / f"paint-{id[:8]}" / "oren_nayar.json").parameters["rho"].value[0]
+        for id in ids
+    )
+    assert second > 1.05 * first
+    monkeypatch.setattr(Client, "content", None)
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["kept"] == 2
+    unknown = ids[0][::-1]
+    assert main(["--server", address, "batch", unknown, ids[0], "--out", str(tmp_path / "none")]) == 2
+    assert unknown in capsys.readouterr().err
+    assert main(["batch", str(spec), "--out", str(tmp_path / "none")]) == 2
+    assert "--server" in capsys.readouterr().err
+    assert not list((tmp_path / "none").iterdir())

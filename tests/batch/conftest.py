@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,3 +29,14 @@ def write_table() -> Write:
         return path
 
     return write
+
+
+def summary_rows(out: Path) -> list[dict[str, str]]:
+    """The rows of a batch's summary."""
+    with (out / "summary.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def rows_without_times(out: Path) -> list[dict[str, str]]:
+    """What of the rows has to be the same, however the batch came about."""
+    return [{name: text for name, text in row.items() if "seconds" not in name} for row in summary_rows(out)]

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
+import re
 import signal
 import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 
 import fitter
-from fitter.batch import Plan, batch_spec, compare, estimate, plan, run
+from fitter.batch import Plan, batch_spec, compare, estimate, page, plan, run, svg
 from fitter.cli.reading import table_of
 from fitter.errors import FitError, SpecError
 from fitter.formats import ReadOptions
 from fitter.progress import Cancelled
-from tests.batch.conftest import Write
+from tests.batch.conftest import Write, rows_without_times, summary_rows
 
 #: Quick to fit, quick to compile.
 SPEC = {"models": ["oren_nayar", "ward"], "report": False}
@@ -48,13 +48,8 @@ def done(tables: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def _rows(out: Path) -> list[dict[str, str]]:
-    with (out / "summary.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_results_summary_and_index(done: Path):
-    rows = _rows(done)
+    rows = summary_rows(done)
     assert [(row["table"], row["model"], row["status"]) for row in rows] == [
         *((f"t{k}", model, "converged") for k in range(3) for model in ("oren_nayar", "ward")),
         ("unreadable", "", "failed"),
@@ -69,11 +64,45 @@ def test_results_summary_and_index(done: Path):
     packed = pyarrow.parquet.read_table(done / "summary.parquet").to_pylist()
     assert [one["rmse"] for one in packed[:6]] == [float(one["rmse"]) for one in rows[:6]]
     assert packed[-1]["rmse"] is None
-    page = (done / "index.html").read_text()
-    assert page.count("<tr data-status") == 4
-    for name in ("slice.png", "residuals.png"):
-        assert f'src="tables/t0/{name}"' in page
-        assert (done / "tables" / "t0" / name).read_bytes().startswith(b"\x89PNG")
+    shown = (done / "index.html").read_text()
+    assert shown.count("<tr data-status") == 4
+    assert 'src="tables/t0/picture.svg"' in shown
+    drawn = ElementTree.parse(done / "tables" / "t0" / "picture.svg").getroot()
+    assert len(drawn.findall("{*}g")) == 2
+    numbers = re.findall(r"[-\d.]+", " ".join(str(one.get("d")) for one in drawn.findall(".//{*}path")))
+    assert len(numbers) > 200
+    assert all(0 <= float(number) <= svg.WIDTH for number in numbers)
+
+
+def _record(name: str, relative: float, status: str = "converged") -> dict[str, Any]:
+    fit = {
+        "model": "ward", "file": "ward.json", "status": status, "warnings": [],
+        "metrics": {"rmse": relative, "relative_rmse": relative},
+    }  # fmt: skip
+    table = {
+        "table": name, "folder": f"tables/{name}", "fits": [fit], "best": "ward", "notes": [], "usable": 1,
+        "seconds": 0.1,
+    }  # fmt: skip
+    return {"unit": {"name": name}, "error": None, "tables": [table]}
+
+
+def test_the_index_shows_the_worst_of_many():
+    index = page.Index(reports=True, most=4)
+    for k in range(20):
+        index.add(_record(f"t{k:02}", 0.01 * (k % 10)))
+    index.add(_record("odd", 0.001, "not_converged"))
+    error = {"message": "is no number", "row": 7}
+    index.add({"unit": {"name": "broken"}, "error": error, "tables": []})
+    for k in range(20, 40):
+        index.add(_record(f"t{k:02}", 0.001))
+    text = index.render()
+    assert re.findall(r'<tr data-status="[\w ]+">\s*<td>(?:<a [^>]*>)?(\w+)', text) == [
+        "broken", "odd", "t09", "t19",
+    ]  # fmt: skip
+    assert "Batch of 42 tables" in text
+    assert "40 converged, 1 failed, 1 not converged" in text
+    assert "the 4 worst" in text
+    assert "row 7: is no number" in text
 
 
 def test_done_again_is_not_done_again(done: Path, tables: Path):
@@ -101,42 +130,26 @@ def test_stopped_and_resumed(tables: Path, tmp_path: Path, done: Path):
 
     with pytest.raises(Cancelled):
         run(_planned(tables), tmp_path, workers=1, progress=stop)
-    assert 1 <= len({row["table"] for row in _rows(tmp_path)}) < 4
+    assert 1 <= len({row["table"] for row in summary_rows(tmp_path)}) < 4
     again = run(_planned(tables), tmp_path, workers=1)
     assert again.kept >= 1
-    assert _without_times(_rows(tmp_path)) == _without_times(_rows(done))
+    assert rows_without_times(tmp_path) == rows_without_times(done)
 
 
-def _without_times(rows: list[dict[str, str]]) -> list[dict[str, str]]:
-    return [{name: text for name, text in row.items() if "seconds" not in name} for row in rows]
-
-
-def test_workers_of_a_cluster_one_of_them_killed(tables: Path, tmp_path: Path, done: Path):
+def test_workers_of_its_own(tables: Path, tmp_path: Path, done: Path):
     """The same numbers as in one process, each once."""
-    from distributed import Client, LocalCluster
-
-    killed: list[int] = []
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", local_directory=str(tmp_path / "dask")
-    ) as cluster, Client(cluster, set_as_default=False) as client:  # fmt: skip
-
-        def kill(share: float, what: str) -> None:
-            pids = client.run(os.getpid)
-            if not killed and "running" in what:
-                killed.append(next(iter(pids.values())))
-                os.kill(killed[0], signal.SIGKILL)
-
-        out = tmp_path / "out"
-        found = run(_planned(tables), out, scheduler=cluster.scheduler_address, progress=kill)
-    assert killed
+    found = run(_planned(tables), tmp_path, workers=2)
     assert (found.done, found.failed) == (4, 1)
-    assert _without_times(_rows(out)) == _without_times(_rows(done))
+    assert rows_without_times(tmp_path) == rows_without_times(done)
 
 
 def test_a_scheduler_that_is_not_there(tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("fitter.batch.running._PATIENCE", 0.5)
+    monkeypatch.setattr("fitter.batch.cluster._PATIENCE", 0.5)
     with pytest.raises(SpecError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         run(_planned(tables), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+    for address in ("nonsense", "tcp://127.0.0.1"):
+        with pytest.raises(SpecError, match=f"no Dask scheduler answers at {address}"):
+            run(_planned(tables), tmp_path / "out", scheduler=address)
 
 
 def test_a_full_disk_says_so_and_loses_nothing(tables: Path, tmp_path: Path):
@@ -180,14 +193,17 @@ def test_posterior_and_export_of_the_best(tmp_path: Path, write_table: Write):
     posterior = {"ess": 50, "max_samples": 200, "rhat": 1.2, "budget_seconds": 20}
     spec = batch_spec(
         {
-            "tables": [str(table)], "models": "oren_nayar", "posterior": posterior, "report": False,
+            "tables": [str(table)],
+            "models": "oren_nayar",
+            "posterior": posterior,
+            "report": False,
             "exports": ["python"],
         }
     )
     assert run(plan(spec), tmp_path / "out", workers=1).failed == 0
     place = tmp_path / "out" / "tables" / "t"
     assert {"posterior.json", "python.py", "oren_nayar.json"} <= {path.name for path in place.iterdir()}
-    (row,) = _rows(tmp_path / "out")
+    (row,) = summary_rows(tmp_path / "out")
     assert row["posterior"]
     assert float(row["lower95(rho[value])"]) < float(row["rho[value]"]) < float(row["upper95(rho[value])"])
 
@@ -233,7 +249,7 @@ def test_a_member_that_claims_too_much_fails_alone(
     monkeypatch.setattr("fitter.formats.archives.MAX_UNPACKED", 50_000)
     spec = {"tables": [str(tmp_path / "z.zip")], "models": ["oren_nayar"], "report": False}
     assert run(plan(batch_spec(spec)), tmp_path / "out", workers=1).failed == 1
-    errors = {row["table"]: row["error"] for row in _rows(tmp_path / "out")}
+    errors = {row["table"]: row["error"] for row in summary_rows(tmp_path / "out")}
     assert errors["z-small"] == ""
     assert "claims to unpack" in errors["z-bomb"]
 

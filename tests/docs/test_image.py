@@ -15,6 +15,7 @@ import yaml
 from compose_spec import PyCompose
 
 from fitter.cli.app import parser
+from tests.image.dockerfile import Copy, copied, stages, words
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,6 +49,27 @@ def test_the_dockerfile_is_clean() -> None:
 def test_the_image_s_command_is_ours() -> None:
     lines = (ROOT / "Dockerfile").read_text().splitlines()
     taken(json.loads(next(line for line in reversed(lines) if line.startswith("CMD ")).removeprefix("CMD ")))
+
+
+def test_every_step_is_one_that_the_check_does() -> None:
+    build, final = stages(ROOT / "Dockerfile")
+    assert (build.name, final.base) == ("build", build.base)
+    assert [step.instruction for step in build.steps].count("RUN") == 3
+    assert "\\" not in "".join(step.text for step in build.steps)
+    (one,) = [copied(step.text) for step in final.steps if step.instruction == "COPY"]
+    assert one == Copy(("/opt/venv",), "/opt/venv", "build")
+    assert words(final.last("CMD") or "")[:2] == ["brdf-fitter", "serve"]
+    assert words(final.last("HEALTHCHECK") or "")[0] == "python"
+    assert final.last("USER") == "10001"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"), [("FROM a\nADD b c\n", "ADD b c"), ("FROM a b\n", "FROM"), ("RUN x\n", "RUN x")]
+)
+def test_a_step_that_the_check_does_not_know(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "Dockerfile").write_text(text)
+    with pytest.raises(ValueError, match=says):
+        stages(tmp_path / "Dockerfile")
 
 
 def test_the_composition_is_valid() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +15,10 @@ from fitter.cli.verb import DONE, WORK_FAILED, Outcome, Verb
 from fitter.errors import SpecError
 
 if TYPE_CHECKING:
-    from fitter.batch import BatchSpec, Plan
+    from fitter.batch import BatchSpec, Fetched, Plan
+
+    #: Gets the tables ``server:ID`` of a specification into a folder: by these names, what has come.
+    Fetch = Callable[[BatchSpec, Path], Mapping[str, Fetched]]
 
 _SPECS = (".yaml", ".yml", ".toml")
 
@@ -25,7 +30,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "tables", nargs="*", metavar="TABLE",
-        help="files, folders, archives and patterns; or one specification (.yaml, .toml), which says it all",
+        help="files, folders, archives, patterns and, with --server, server:ID; or one specification (.yaml, "
+        ".toml), which says it all",
     )  # fmt: skip
     parser.add_argument(
         "--manifest", metavar="FILE", help="a CSV file with a column path, and a row for each table"
@@ -59,9 +65,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     reading.add_reading_options(parser)
 
 
-def run(given: argparse.Namespace, screen: Screen) -> Outcome:
+def run(given: argparse.Namespace, screen: Screen, fetch: Fetch | None = None) -> Outcome:
+    """Do the batch; ``fetch`` gets a service's tables."""
     from fitter import batch
-    from fitter.cli.numerics import start_numerics
 
     if given.workers is not None and given.workers < 1:
         raise SpecError(
@@ -72,13 +78,21 @@ def run(given: argparse.Namespace, screen: Screen) -> Outcome:
         raise SpecError(
             "there is no folder to write to", code="bad-call", parameter="out", remedy="name one with --out"
         )
-    plan = batch.plan(spec)
+    out = None if given.out is None else output_folder(given.out)
+    with tempfile.TemporaryDirectory() as aside:  # of a dry run
+        fetched = None if fetch is None else fetch(spec, Path(aside) if out is None else out / "fetched")
+        return _planned(batch.plan(spec, fetched), given, out, screen)
+
+
+def _planned(plan: Plan, given: argparse.Namespace, out: Path | None, screen: Screen) -> Outcome:
+    from fitter import batch
+    from fitter.cli.numerics import start_numerics
+
     for one in plan.refused:
         screen.note(f"{one['table']}: {one['error']['message']}")
-    if given.dry_run:
+    if given.dry_run or out is None:
         start_numerics(screen)
         return _dry(plan, given.workers, screen)
-    out = output_folder(given.out)
     if given.workers == 1 and given.scheduler is None:
         start_numerics(screen)
     with screen.progress(f"{len(plan.units)} tables") as progress:

@@ -1,0 +1,126 @@
+"""A batch on a real cluster of this machine: scheduler and workers are processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fitter.batch import batch_spec, plan, run
+from tests.batch.conftest import Write, rows_without_times
+
+_COUNT = 14
+#: Seconds that a process may take to start on a busy machine.
+_PATIENCE = 120.0
+
+
+@contextmanager
+def _started(*words: str) -> Generator[subprocess.Popen[bytes]]:
+    """A process of Dask that ends with the block."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dask", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _wait(until: Callable[[], Any], what: str) -> None:
+    end = time.monotonic() + _PATIENCE
+    while not until():
+        assert time.monotonic() < end, f"{what} did not come up"
+        time.sleep(0.1)
+
+
+def test_tables_of_one_file_are_shared_out(tmp_path: Path, write_table: Write) -> None:
+    """The workers' record is the one that a single process writes, and keeps what had been finished."""
+    one = [write_table(tmp_path / f"t{k}.csv", 0.1 + 0.05 * k).read_text().splitlines() for k in range(10)]
+    text = [f"{one[0][0]},item", *(f"{row},s{k}" for k in range(10) for row in one[k][1:])]
+    (tmp_path / "all.csv").write_text("\n".join([*text, ""]))
+    what = plan(batch_spec({"tables": [str(tmp_path / "all.csv")], "models": ["ward"], "report": False}))
+    found = run(what, tmp_path / "two", workers=2)
+    assert (found.done, found.failed) == (1, 0)
+
+    run(what, tmp_path / "one", workers=1)
+    rows = rows_without_times(tmp_path / "two")
+    assert [row["table"] for row in rows] == [f"all/s{k}" for k in range(10)]
+    assert rows == rows_without_times(tmp_path / "one")
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("one/tables/all/*/table.json")}
+    gone = tmp_path / "one" / "tables" / "all"
+    (gone / "unit.json").unlink()
+    (gone / "s4" / "table.json").unlink()
+    run(what, tmp_path / "one", workers=1)
+    after = {path: path.stat().st_mtime_ns for path in before}
+    assert [path.parent.name for path in before if before[path] != after[path]] == ["s4"]
+    assert rows == rows_without_times(tmp_path / "one")
+
+
+def test_one_worker_added_and_one_killed(tmp_path: Path, write_table: Write) -> None:
+    """All results once, and the same numbers as in one process left alone."""
+    pytest.importorskip("distributed")
+    from distributed import Client
+
+    for k in range(_COUNT):
+        write_table(tmp_path / "tables" / f"t{k:02}.csv", 0.1 + 0.05 * k)
+    what = plan(
+        batch_spec(
+            {"tables": [str(tmp_path / "tables")], "models": ["oren_nayar"], "report": False, "seed": 3}
+        )
+    )
+    told = tmp_path / "scheduler.json"
+    with ExitStack() as started:
+
+        def begin(*words: str) -> subprocess.Popen[bytes]:
+            return started.enter_context(_started(*words))
+
+        def worker(number: int) -> subprocess.Popen[bytes]:
+            return begin(
+                "worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-nanny", "--no-dashboard",
+                "--name", str(number), "--local-directory", str(tmp_path / "dask"),
+            )  # fmt: skip
+
+        begin(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+            "--scheduler-file", str(told),
+        )  # fmt: skip
+        _wait(told.exists, "the scheduler")
+        address = str(json.loads(told.read_text())["address"])
+        first = [worker(0), worker(1)]
+        client: Any = started.enter_context(Client(address, set_as_default=False, timeout=_PATIENCE))
+        client.wait_for_workers(2, timeout=_PATIENCE)
+        events: list[str] = []
+
+        def disturb(share: float, words: str) -> None:
+            if not events and share > 0:
+                worker(2)
+                client.wait_for_workers(3, timeout=_PATIENCE)
+                events.append("added")
+            elif events == ["added"] and "running" in words:
+                info = client.scheduler_info(n_workers=-1)["workers"]
+                (victim,) = [at for at, one in info.items() if str(one["name"]) == "0"]
+                if client.processing([victim])[victim]:
+                    os.kill(first[0].pid, signal.SIGKILL)
+                    events.append("killed")
+
+        found = run(what, tmp_path / "disturbed", scheduler=address, progress=disturb)
+        assert events == ["added", "killed"]
+        assert first[0].wait() == -signal.SIGKILL
+        assert {str(one["name"]) for one in client.scheduler_info(n_workers=-1)["workers"].values()} == {
+            "1", "2",
+        }  # fmt: skip
+    assert (found.done, found.kept, found.failed) == (_COUNT, 0, 0)
+    run(what, tmp_path / "alone", workers=1)
+    rows = rows_without_times(tmp_path / "disturbed")
+    assert [row["table"] for row in rows] == [f"t{k:02}" for k in range(_COUNT)]
+    assert rows == rows_without_times(tmp_path / "alone")
