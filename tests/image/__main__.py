@@ -1,4 +1,4 @@
-"""``python -m tests.image``: the Dockerfile's steps by chroot in plain root file systems; its service started.
+"""``python -m tests.image``: the Dockerfile's steps by chroot in plain root file systems, and its service.
 
 For machines without a container engine. It needs root, debootstrap and a network. In place of the image
 python:3.11-slim stands Debian 12 with its own Python 3.11. What differs from an engine: no layers, no limits,
@@ -86,7 +86,7 @@ def _build(stage: Stage, root: Root, built: Mapping[str, Root]) -> None:
 
 
 def _serve(stage: Stage, root: Root) -> None:
-    """CMD as the user, a key beforehand; the health check and a fit; then it is ended as `docker stop` does."""
+    """CMD as the user, a key beforehand; the health check and a fit; the end as `docker stop` brings it."""
     command, health = stage.last("CMD"), stage.last("HEALTHCHECK")
     assert command is not None
     assert health is not None
