@@ -7,7 +7,7 @@ WORKERS ?= auto
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint bench evidence serve image-check lock clean
+.PHONY: help install demo test lint docs bench evidence serve image-check lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -33,11 +33,20 @@ lint: .venv/.installed ## check style and types
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
 
-bench: .venv/.installed ## measure speed
+bench: .venv/.installed ## measure speed; ARGS="--quick --only fit" for a part, --out FILE for the document
 	$(BIN)/python -m tests.bench $(ARGS)
 
+# What builds the pages is locked apart: neither the product nor its tests need it.
+.venv/.docs: .venv/.installed docs/requirements.lock
+	$(BIN)/python -m pip install --quiet --require-hashes -r docs/requirements.lock
+	@touch $@
+
+docs: .venv/.docs ## build the documentation into build/docs; warnings are errors
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html -d build/docs.cache docs build/docs
+	@echo "build/docs/index.html"
+
 # The whole takes hours with the global optimum, 40 to 60 minutes without (--study chooses); --share 0.02 --seed fresh is a sample of it.
-evidence: .venv/.installed ## prove accuracy and sampling, into docs/evidence.json and docs/evidence.md
+evidence: .venv/.installed ## run the long studies into docs/evidence.md; ARGS="--study NAME --share 0.02" for a sample
 	$(BIN)/python -m tests.evidence $(or $(ARGS),--write)
 
 serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
@@ -47,9 +56,11 @@ serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
 image-check: .venv/.installed ## do the Dockerfile's steps without a container engine
 	$(BIN)/python -m tests.image --work $(or $(IMAGE),/var/tmp/brdf-fitter-image) $(ARGS)
 
-lock: ## resolve requirements.lock again (needs uv)
+lock: ## resolve requirements.lock and docs/requirements.lock again (needs uv)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
 		--no-header pyproject.toml --group dev --extra renderers -o requirements.lock
+	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+		--no-header --group docs -c requirements.lock -o docs/requirements.lock
 
 clean: ## remove everything that make has made
 	rm -rf .venv .cache demo build dist .hypothesis .ruff_cache

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from fitter.compression import CompressedTable, compress
     from fitter.fitting import FitResult, fit, load_fit
     from fitter.formats import load, load_all, write
+    from fitter.grid import Grid
     from fitter.large import LargeTable, open_large
+    from fitter.metadata import Channel, Metadata
     from fitter.posterior import Posterior
     from fitter.quality import Check, check
     from fitter.sampling import Samples, TableSampler
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
         SelectionSpec,
         TradeoffSpec,
     )
-    from fitter.table import Channel, Grid, Metadata, Table
+    from fitter.table import Table
     from fitter.tradeoffs import Tradeoff, load_tradeoff, tradeoff
 
 __all__ = [
@@ -59,7 +61,8 @@ _LAZY = {
     "Selection": "fitter.selection", "select": "fitter.selection",
     "FitSpec": "fitter.spec", "ModelSpec": "fitter.spec", "PosteriorSpec": "fitter.spec",
     "SelectionSpec": "fitter.spec", "TradeoffSpec": "fitter.spec",
-    "Channel": "fitter.table", "Grid": "fitter.table", "Metadata": "fitter.table", "Table": "fitter.table",
+    "Channel": "fitter.metadata", "Grid": "fitter.grid", "Metadata": "fitter.metadata",
+    "Table": "fitter.table",
     "Tradeoff": "fitter.tradeoffs", "load_tradeoff": "fitter.tradeoffs", "tradeoff": "fitter.tradeoffs",
 }  # fmt: skip
 

@@ -25,7 +25,12 @@ def enable_x64() -> None:
 
 
 def use_compilation_cache(folder: Path) -> None:
-    """Keep compiled programs in ``folder`` between processes (half a second a model saved)."""
+    """Keep compiled programs in ``folder`` between processes (half a second a model saved).
+
+    Where the environment names another one (JAX_COMPILATION_CACHE_DIR), that one stands: servers and commands
+    of one user then share what they have compiled.
+    """
+    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or folder)
     folder.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

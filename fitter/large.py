@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import progress as reports
+from fitter.domain import Domain
 from fitter.errors import TableError
 from fitter.formats.read_options import ReadOptions, read_options
 from fitter.formats.stream import ROWS, Part, parts
+from fitter.metadata import Channel, Metadata, Symmetry
 from fitter.repeats import RepeatEstimate
 from fitter.reservoir import STRATA, Reservoir
-from fitter.table import Channel, Domain, Metadata, Symmetry, Table
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 #: Samples of the weighted sample that is kept in memory, at most.

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
-from fitter.digest import DigestField, Sha256
+from fitter.domain import Domain, domain
 from fitter.errors import TableError
 from fitter.grid import Grid
-from fitter.parts import ROWS, in_parts
-from fitter.repeats import STEP, repeated
+from fitter.masking import HORIZON, Treatment, reasons
+from fitter.metadata import Channel, Metadata, Symmetry
+from fitter.parts import in_parts
+from fitter.repeats import repeated
 from fitter.summary import Summary, summarise
 
 if TYPE_CHECKING:
@@ -24,82 +25,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-Symmetry = Literal["isotropic", "anisotropic"]
-Quantity = Literal["brdf", "ccbrdf", "reflectance_factor"]
-QUANTITIES: tuple[Quantity, ...] = ("brdf", "ccbrdf", "reflectance_factor")
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One measured channel: its name and, where it is a line or a narrow band, its wavelength in nm."""
-
-    name: str
-    wavelength_nm: float | None = None
-
-
-@dataclass(frozen=True)
-class Metadata:
-    """Where a table comes from and what was done to it on reading. Everything here is JSON-ready.
-
-    ``quantity`` is what the *file* held; :attr:`Table.value` is always f_r in 1/sr without the cosine.
-    ``angle_unit`` is the file's, "deg" or "rad", "" where it holds no angles; here they are always radians.
-    ``scale_uncertainty`` is relative and common to the whole table, ``angle_uncertainty`` and
-    ``aperture`` (receiver, full angle) are in radians; each is standard (k = 1), None where not stated.
-    ``masked`` counts the samples masked by each reason. ``notes`` are sentences a person should read.
-    """
-
-    name: str = ""
-    source_format: str = "arrays"
-    quantity: Quantity = "brdf"
-    convention: str = ""
-    angle_unit: str = ""
-    sha256: Sha256 = DigestField()  # noqa: RUF009  # reads as str; a file's may still be on its way
-    scale_uncertainty: float | None = None
-    angle_uncertainty: float | None = None
-    aperture: float | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    masked: Mapping[str, int] = field(default_factory=dict[str, int])
-    notes: tuple[str, ...] = ()
-
-    def but(self, **changes: Any) -> Metadata:
-        """A copy with other values, as ``dataclasses.replace``, that does not wait for ``sha256``."""
-        return Metadata(**{**vars(self), **changes})
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "sha256": self.sha256}  # no thread can be pickled
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-
-
-@dataclass(frozen=True)
-class Domain:
-    """The range of directions a table was measured over (radians); outside it values are extrapolated."""
-
-    theta_i: tuple[float, float]
-    theta_o: tuple[float, float]
-    incidences: int
-    in_plane: bool
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "theta_i_deg": [float(np.rad2deg(a)) for a in self.theta_i],
-            "theta_o_deg": [float(np.rad2deg(a)) for a in self.theta_o],
-            "incidences": self.incidences,
-            "in_plane": self.in_plane,
-        }
-
-
-#: Directions closer than this (radians) are one direction.
-SAME_DIRECTION = STEP
-
-
-#: Reasons for a mask that can't be found out from the table itself.
-MARKED, FILL = "marked unusable by its source", "fill value"
-
-#: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
-HORIZON = 1e-9
 
 
 class Table:
@@ -147,8 +72,8 @@ class Table:
         fills: ArrayLike | None = None,
         symmetry: Symmetry | None = None,
         metadata: Metadata | None = None,
-        negatives: Literal["mask", "keep"] = "mask",
-        duplicates: Literal["mask", "keep"] = "mask",
+        negatives: Treatment = "mask",
+        duplicates: Treatment = "mask",
         copy: bool = True,
     ) -> None:
         self.metadata = metadata or Metadata()
@@ -171,11 +96,12 @@ class Table:
                 parameter="sigma", remedy="give one standard uncertainty per value",
             )  # fmt: skip
         self.channels = _channels(channels, self.value.shape[1])
-        self.fills: BoolArray | None = None if fills is None else np.asarray(fills, bool)
-        reasons = self._reasons(mask, self.fills, negatives, duplicates)
+        self.fills = self._flags("fills", fills, n)
+        marked = self._flags("mask", mask, n)
+        found = reasons(self, marked, negatives, duplicates)
         self.mask: BoolArray = np.ones(n, bool)
         counts = dict(self.metadata.masked)
-        for reason, bad in reasons.items():
+        for reason, bad in found.items():
             fresh = int(np.count_nonzero(bad & self.mask))
             if fresh:
                 counts[reason] = counts.get(reason, 0) + fresh
@@ -218,55 +144,13 @@ class Table:
             pair.append(w)
         return pair[0], pair[1]
 
-    def _reasons(
-        self, mask: ArrayLike | None, fills: ArrayLike | None, negatives: str, duplicates: str
-    ) -> dict[str, BoolArray]:
-        n = len(self.value)
-        reasons: dict[str, BoolArray] = {}
-        for name, flags, reason in (("mask", mask, MARKED), ("fills", fills, FILL)):
-            if flags is None:
-                continue
-            given = np.asarray(flags, bool)
-            if given.shape != (n,):
-                raise self._error(
-                    f"{name} has shape {given.shape}, expected ({n},)", "table-shape", parameter=name
-                )
-            reasons[reason] = ~given if name == "mask" else given
-        finite, not_negative = _every(self.value, np.isfinite, _not_negative)
-        reasons["missing or not finite"] = ~finite
-        if negatives == "mask":
-            reasons["negative"] = ~not_negative
-        if self.sigma is not None:
-            reasons["sigma missing or not positive"] = ~_every(self.sigma, _positive)[0]
-        if self.grid is None:
-            known = [_every(w, np.isfinite)[0] for w in (self.wi, self.wo)]
-            reasons["direction not finite"] = ~(known[0] & known[1])
-        reasons["below the horizon"] = ~self._above_horizon()
-        if self.grid is None and duplicates == "mask":
-            reasons["repeated geometry"] = self.repeats
-        return reasons
-
-    def _above_horizon(self) -> BoolArray:
-        if self.grid is None:
-            return (self.wi[:, 2] > 0) & (self.wo[:, 2] >= 0)
-        axes = self.grid.axes
-        if self.grid.system == "half_difference":
-            # z of each direction is cos_h cos_d -+ sin_h sin_d cos(phi_d): no need to expand the vectors.
-            h, d = axes["theta_h"][:, None], axes["theta_d"][None, :]
-            along, across = np.cos(h) * np.cos(d), np.abs(np.sin(h) * np.sin(d))
-            turn = np.abs(np.cos(axes["phi_d"]))
-            above = np.empty(self.grid.shape, bool)
-            # Half angle by half angle: what is compared stays in the cache.
-            for k, slab in enumerate(above):
-                np.greater(along[k, :, None], across[k, :, None] * turn, out=slab)
-            return above.reshape(-1)
-        below = {name: np.cos(axis) > 1e-12 for name, axis in axes.items() if name.startswith("theta")}
-        shape = self.grid.shape
-        ok = np.ones(shape, bool)
-        for position, name in enumerate(axes):
-            if name in below:
-                ok &= below[name].reshape([-1 if k == position else 1 for k in range(len(shape))])
-        return ok.reshape(-1)
+    def _flags(self, name: str, given: ArrayLike | None, n: int) -> BoolArray | None:
+        flags = None if given is None else np.asarray(given, bool)
+        if flags is not None and flags.shape != (n,):
+            raise self._error(
+                f"{name} has shape {flags.shape}, expected ({n},)", "table-shape", parameter=name
+            )
+        return flags
 
     @cached_property
     def repeats(self) -> BoolArray:
@@ -329,47 +213,7 @@ class Table:
     @cached_property
     def domain(self) -> Domain:
         """Range of the usable samples."""
-        keys: list[NDArray[np.int64]] = []
-        spans: list[FloatArray] = []
-
-        def look(part: slice) -> None:
-            xi, yi, zi, xo, yo, zo = self._usable_components(part)
-            if not len(xi):
-                return
-            theta_i = directions.polar_from_components(xi, yi, zi)
-            theta_o = directions.polar_from_components(xo, yo, zo)
-            # Out of plane where the triple product n . (wi x wo) is not zero.
-            out_of_plane = np.abs(xi * yo - yi * xo)
-            # One integer per incidence: unique rows of a million-row array take a second.
-            key = np.rint(theta_i * 1e5).astype(np.int64) * 1_000_000
-            if self.symmetry == "anisotropic":
-                azimuth = np.where(theta_i > SAME_DIRECTION, np.arctan2(yi, xi), 0.0)
-                key += np.rint(azimuth * 1e5).astype(np.int64)
-            keys.append(key)
-            low = theta_i.min(), theta_o.min(), 0.0
-            spans.append(np.array([low, (theta_i.max(), theta_o.max(), out_of_plane.max())]))
-
-        # Whole rows of a grid's last axis.
-        width = 1 if self.grid is None else self.grid.shape[-1]
-        in_parts(look, len(self), width * max(1, ROWS // width))
-        key = np.concatenate(keys)
-        key.sort()  # in a fifth of the time that np.unique takes for so many
-        low, high = np.min([span[0] for span in spans], axis=0), np.max([span[1] for span in spans], axis=0)
-        return Domain(
-            theta_i=(float(low[0]), float(high[0])),
-            theta_o=(float(low[1]), float(high[1])),
-            incidences=1 + int(np.count_nonzero(np.diff(key))),
-            in_plane=bool(high[2] < 1e-3),
-        )
-
-    def _usable_components(self, part: slice) -> FloatArray:
-        """(6, n), x y z of wi and of wo, of the usable samples in ``part``: whole rows of a grid."""
-        used = self.mask[part]
-        if self.grid is None:
-            return np.hstack([self.wi[part][used], self.wo[part][used]]).T
-        found = np.empty((6, len(used)))
-        self.grid.row_components(part.start, part.stop, found)
-        return found if used.all() else found[:, used]
+        return domain(self)
 
     @cached_property
     def summary(self) -> Summary:
@@ -467,29 +311,6 @@ def _not_unit(w: FloatArray) -> int | None:
 
     in_parts(check, len(w))
     return min(found, default=None)
-
-
-def _every(values: FloatArray, *tests: Callable[[FloatArray], BoolArray]) -> tuple[BoolArray, ...]:
-    """For each test, (N,) whether it holds for all of a row of (N, C)."""
-    found = tuple(np.ones(len(values), bool) for _ in tests)
-
-    # Column by column, in parts that stay in the cache: ten times faster than (N, C) flags and all(axis=1).
-    def check(rows: slice) -> None:
-        for k in range(values.shape[1]):
-            part = values[rows, k]
-            for test, flags in zip(tests, found, strict=True):
-                flags[rows] &= test(part)
-
-    in_parts(check, len(values))
-    return found
-
-
-def _not_negative(value: FloatArray) -> BoolArray:
-    return value >= 0  # False where NaN, which counts as missing before it counts as negative
-
-
-def _positive(sigma: FloatArray) -> BoolArray:
-    return (sigma > 0) & np.isfinite(sigma)
 
 
 def _columns(name: str, given: ArrayLike) -> FloatArray:

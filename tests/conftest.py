@@ -27,10 +27,10 @@ from fitter.memory_maps import forget_when_many  # noqa: E402
 
 # Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
 # Not the requests themselves (fit, FitSpec): their own errors are what is tested.
-KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples")
+KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples", "usable")
 install_import_hook(
     [
-        "fitter.models", "fitter.directions", "fitter.grid", "fitter.table",
+        "fitter.models", "fitter.directions", "fitter.grid", "fitter.masking", "fitter.table",
         *(f"fitter.fitting.{kernel}" for kernel in KERNELS),
     ],
     "tests.typecheck.checked",
@@ -41,8 +41,11 @@ settings.register_profile(
 )
 settings.load_profile("project")
 
-# As the command and the service compile them; in one piece, since each core has a test process already.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_parallel_codegen_split_count=1")
+# Half of a test is compiling what then runs for milliseconds: without LLVM's optimisations,
+# and in one piece, since each core has a test process already. Benchmarks and studies compile as the product.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
+)
 compile_sooner()
 
 # Traced programs are millions of objects that live long: looking through them again and again is a tenth of

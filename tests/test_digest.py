@@ -15,7 +15,7 @@ from fitter.digest import AT_ONCE, Digest, digest_of
 from fitter.errors import TableError
 from fitter.formats import load
 from fitter.formats.source import Source
-from fitter.table import Metadata
+from fitter.metadata import Metadata
 from tests.formats.samples import delimited_bytes
 
 LARGE = np.random.default_rng(1).bytes(AT_ONCE + 1)

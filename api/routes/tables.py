@@ -31,9 +31,10 @@ from fitter.documents import dumps
 from fitter.export import subject, target
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
-from fitter.formats.read_options import ReadOptions, Treatment, read_options
+from fitter.formats.read_options import ReadOptions, read_options
+from fitter.masking import Treatment
+from fitter.metadata import Quantity
 from fitter.quality import overview
-from fitter.table import Quantity
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
 

@@ -28,7 +28,8 @@ from fitter.compression import CompressedTable
 from fitter.errors import FitterError, SpecError
 from fitter.fitting import fit as fitted
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import Usable, usable
+from fitter.fitting.samples import Usable
+from fitter.fitting.usable import usable
 from fitter.models import ReflectanceModel
 from fitter.posterior.result import Posterior
 from fitter.posterior.run import noise_of, sample

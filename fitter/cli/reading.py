@@ -24,7 +24,7 @@ READING = "reading options (what a file can't say about itself)"
 def add_reading_options(parser: argparse.ArgumentParser) -> None:
     """``--quantity`` and the other options of :func:`fitter.load`."""
     from fitter.formats import CONVENTIONS
-    from fitter.table import QUANTITIES
+    from fitter.metadata import QUANTITIES
 
     group = parser.add_argument_group(READING)
     group.add_argument("--quantity", choices=QUANTITIES, help="what the values are")

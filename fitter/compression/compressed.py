@@ -24,7 +24,9 @@ from fitter.compression.scale import error_in_bounds
 from fitter.compression.tiles import Tiles
 from fitter.documents import write_bytes
 from fitter.errors import SpecError, TableError
-from fitter.table import Channel, Grid, Metadata, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -36,6 +36,8 @@ There = Callable[[FloatArray, FloatArray], tuple[FloatArray, NDArray[np.bool_]]]
 _CHUNK = 1 << 19
 #: Incidences in degrees that reflectances are compared at, and points of the hemisphere on a side.
 _THETA, _PHI, _ACROSS = (0, 20, 45, 60, 70), (30, 100), 128
+#: Seconds that Radiance's checkBSDF gets; it takes a few.
+LONGEST = 120.0
 
 
 def radiance() -> Any:
@@ -131,7 +133,13 @@ def reciprocity(subject: Subject, path: Path) -> Loss:
     """
     tools = radiance()
     program = Path(str(tools.__file__)).parent / "bin" / "checkBSDF"
-    done = subprocess.run([program, path], capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run([program, path], capture_output=True, text=True, check=False, timeout=LONGEST)
+    except subprocess.TimeoutExpired as error:
+        raise FitError(
+            f"Radiance's checkBSDF does not end within {LONGEST:g} s", code="radiance-failed", file=str(path),
+            remedy="try again, or export as another format (--to rgl)",
+        ) from error  # fmt: skip
     after = re.search(r"Reciprocity Error.*?Refl\s+([\d.eE+-]+)\s+([\d.eE+-]+)", done.stdout, re.DOTALL)
     if done.returncode != 0 or after is None:
         raise FitError(

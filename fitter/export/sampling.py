@@ -15,7 +15,8 @@ from fitter.export.subject import Subject
 from fitter.formats.output import refuse_in_plane
 from fitter.formats.registry import Format
 from fitter.grid import Grid
-from fitter.table import Metadata, Table
+from fitter.metadata import Metadata
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from fitter._version import __version__
 from fitter.errors import SpecError
 from fitter.formats.output import one_line
-from fitter.table import Channel, Symmetry, Table
+from fitter.metadata import Channel, Symmetry
+from fitter.table import Table
 
 if TYPE_CHECKING:
     from fitter.compression import CompressedTable

@@ -15,9 +15,10 @@ from fitter.errors import FitError, SpecError
 from fitter.fitting import budget, clock, metrics
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import Usable, usable
+from fitter.fitting.samples import Usable
 from fitter.fitting.solving import solve
 from fitter.fitting.streamed import from_file
+from fitter.fitting.usable import usable
 from fitter.fitting.writeup import Group, write_up
 from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric, ModelSpec, Select

@@ -26,11 +26,12 @@ from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
 from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
+from fitter.grid import Grid
 from fitter.models.pair import Pair
 from fitter.models.span import Span
 from fitter.programs import kept
 from fitter.spec import Metric
-from fitter.table import Grid, Table
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 #: Directions of a slab's matrix below this share of its largest are rounding.

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fitter.errors import FitError
 from fitter.fitting import metrics
-from fitter.fitting.samples import Block, Blocks, IntArray, Usable, usable
+from fitter.fitting.samples import Block, Blocks, IntArray, Usable
+from fitter.fitting.usable import usable
 from fitter.large import LargeTable
 from fitter.reservoir import STRATA, strata
 from fitter.spec import Metric, Select
@@ -84,7 +85,7 @@ class _Blocks:
 
 
 def from_file(table: LargeTable, metric: Metric, select: Select, *, anisotropic: bool = False) -> FromFile:
-    """As :func:`fitter.fitting.samples.usable`. The metric's floor is the sample's; where samples are left
+    """As :func:`fitter.fitting.usable.usable`. The metric's floor is the sample's; where samples are left
     out, a pass over the file counts them. Raises SpecError or FitError."""
     by_stratum = np.zeros(STRATA)
     by_stratum[strata(table.sample.wi, table.sample.wo)] = table.weight

@@ -21,7 +21,8 @@ from fitter.formats.registry import Format
 from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
-from fitter.table import Channel, Quantity, Table
+from fitter.metadata import Channel, Quantity
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

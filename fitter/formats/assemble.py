@@ -15,7 +15,9 @@ from fitter.formats.fills import find_fills
 from fitter.formats.geometry import Geometry
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
-from fitter.table import Channel, Grid, Metadata, Quantity, Symmetry, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Metadata, Quantity, Symmetry
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

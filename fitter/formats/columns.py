@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from fitter.table import Quantity
+from fitter.metadata import Quantity
 
 Kind = Literal["angle", "component", "value", "sigma", "usable", "wavelength", "item", "ignore"]
 

@@ -18,7 +18,8 @@ from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import HEAD, Source
 from fitter.formats.text import Rows
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.table import Quantity
+from fitter.metadata import Quantity
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

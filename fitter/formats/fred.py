@@ -12,7 +12,8 @@ from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
 from fitter.formats.text import Rows
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 NAME = "fred"
 CONVENTIONS = ("phi_specular_0", "phi_specular_180")

@@ -32,7 +32,8 @@ from fitter.formats.window_xml import (
     provenance_of,
 )
 from fitter.formats.xml_tree import Element
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

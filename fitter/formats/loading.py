@@ -15,10 +15,12 @@ from fitter.errors import NoTable, SpecError, TableError
 from fitter.formats import archives
 from fitter.formats.fills import Fills
 from fitter.formats.held import Held, held
-from fitter.formats.read_options import ReadOptions, Treatment
+from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, detect
 from fitter.formats.source import Source
-from fitter.table import Quantity, Table
+from fitter.masking import Treatment
+from fitter.metadata import Quantity
+from fitter.table import Table
 
 
 class ArrowStream(Protocol):

@@ -19,7 +19,9 @@ from fitter.formats.output import unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
-from fitter.table import Channel, Grid, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel
+from fitter.table import Table
 
 NAME = "mbsdf"
 MAGIC = b"NVIDIA ARC MBSDF V1\n"

@@ -13,7 +13,9 @@ from fitter.formats.output import refuse_in_plane, unwritable, write_aside
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format, Loss
 from fitter.formats.source import Source
-from fitter.table import Channel, Grid, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel
+from fitter.table import Table
 
 NAME = "merl"
 CONVENTIONS = ("center", "corner")

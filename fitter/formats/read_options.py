@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast, get_args
 
 from fitter.errors import SpecError
 from fitter.formats.fills import Fills
-from fitter.table import QUANTITIES, Quantity
-
-Treatment = Literal["mask", "keep"]
+from fitter.masking import Treatment
+from fitter.metadata import QUANTITIES, Quantity
 
 #: How azimuths, in-plane sides and cells may be meant. Which of them a format takes, its reader says.
 CONVENTIONS: Mapping[str, str] = {

@@ -21,8 +21,9 @@ from fitter.formats.registry import Format
 from fitter.formats.rgl_writer import MEASURED, write_rgl
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import MAGIC, fields
+from fitter.metadata import Channel
 from fitter.sampling.adaptive import AdaptiveInterpolant
-from fitter.table import Channel, Table
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 Fields = dict[str, NDArray[Any]]

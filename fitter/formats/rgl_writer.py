@@ -22,7 +22,8 @@ from fitter.formats.adaptive import Adaptive
 from fitter.formats.output import one_line, refuse_in_plane, unwritable, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.tensor_file import tensor_bytes
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]

@@ -151,7 +151,7 @@ class Source:
 
     @cached_property
     def digest(self) -> str | Digest:
-        """sha256 of all bytes, for :class:`fitter.table.Metadata`; that of a large file is yet to come."""
+        """sha256 of all bytes, for :class:`fitter.metadata.Metadata`; that of a large file is yet to come."""
         if self._path is not None and self._apart:
             return Digest(partial(_file_digest, self._path))
         return digest_of(self.buffer)

@@ -23,7 +23,8 @@ from fitter.formats.registry import Format
 from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.text import number
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

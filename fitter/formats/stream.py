@@ -25,7 +25,8 @@ from fitter.formats.tabular import Rows, read_columns
 from fitter.formats.tabular_header import Head
 from fitter.formats.tabular_header import head_of as header_of
 from fitter.formats.text import Rows as TextRows
-from fitter.table import Symmetry, Table
+from fitter.metadata import Symmetry
+from fitter.table import Table
 
 #: Rows of a part: sixteen of the blocks that a fit works in.
 ROWS = 1 << 20

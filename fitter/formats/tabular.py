@@ -17,7 +17,8 @@ from fitter.formats.columns import VOCABULARY, Column
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.source import Source
 from fitter.formats.tabular_header import Head, channels_of, declared_columns
-from fitter.table import Channel, Quantity, Symmetry, Table
+from fitter.metadata import Channel, Quantity, Symmetry
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

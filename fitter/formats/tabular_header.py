@@ -14,7 +14,7 @@ from fitter.formats.columns import VOCABULARY, Column, band_nm, parse_column
 from fitter.formats.read_options import CONVENTIONS, ReadOptions
 from fitter.formats.source import Source
 from fitter.grid import GRID_AXES
-from fitter.table import QUANTITIES, Channel
+from fitter.metadata import QUANTITIES, Channel
 
 _CHOICES: Mapping[str, Sequence[str]] = {
     "quantity": QUANTITIES,

@@ -34,7 +34,8 @@ from fitter.formats.window_xml import (
     layers_of,
     provenance_of,
 )
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 #: A grid of 2^k values on each side (one value for k = 0), or the 2^rank trees of the halves: bit d of its

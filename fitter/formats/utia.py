@@ -14,7 +14,9 @@ from fitter.formats.fills import no_data
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
 from fitter.formats.source import Source
-from fitter.table import Channel, Grid, Quantity, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Quantity
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from fitter.formats.columns import band_nm
 from fitter.formats.source import Source
 from fitter.formats.text import number
 from fitter.formats.xml_tree import Element, parse_xml
-from fitter.table import Channel
+from fitter.metadata import Channel
 
 Side = Literal["front", "back"]
 Read = TypeVar("Read")

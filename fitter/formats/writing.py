@@ -12,7 +12,8 @@ from fitter.errors import SpecError
 from fitter.formats.loading import load
 from fitter.formats.output import one_line
 from fitter.formats.registry import Loss, formats
-from fitter.table import FILL, Table
+from fitter.masking import FILL
+from fitter.table import Table
 
 #: Relative change of a value, or change of a direction, up to which it counts as the same number.
 SAME = 1e-12

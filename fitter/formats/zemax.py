@@ -19,7 +19,8 @@ from fitter.formats.sniffing import found
 from fitter.formats.source import Source
 from fitter.formats.tokens import Tokens
 from fitter.formats.zemax_writer import write_zemax
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -27,8 +27,9 @@ from fitter.fitting.covariance import settled, to_natural
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.polish import normal_equations
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, Usable, padded, usable
+from fitter.fitting.samples import BLOCK, Usable, padded
 from fitter.fitting.sums import scan_sums
+from fitter.fitting.usable import usable
 from fitter.posterior.correlated import correlated_outer
 from fitter.selection.blocks import blocks
 from fitter.table import Table

@@ -15,7 +15,7 @@ from fitter.compression import CompressedTable
 from fitter.errors import SpecError
 from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.posterior import jackknife
 from fitter.posterior.beside import naive
 from fitter.posterior.checkpoint import Checkpoint, digest

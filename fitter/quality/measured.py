@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from fitter import directions
-from fitter.table import FILL, HORIZON, MARKED, Table
+from fitter.masking import FILL, HORIZON, MARKED
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

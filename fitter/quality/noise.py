@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from fitter.quality.finding import Finding, counted, graded, not_judged, percent
 from fitter.quality.measured import Measured, features
-from fitter.table import SAME_DIRECTION
+from fitter.repeats import STEP
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -172,7 +172,7 @@ def scatter(measured: Measured) -> Scatter | None:
     if not measured.table.repeats.any():
         return None
     pair = np.concatenate([measured.wi, measured.wo], axis=1)
-    key = np.round(pair / SAME_DIRECTION).astype(np.int64)
+    key = np.round(pair / STEP).astype(np.int64)
     _, inverse, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     inverse = inverse.reshape(-1)
     many = count[inverse] > 1

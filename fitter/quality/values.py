@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats.fills import repeated
+from fitter.masking import FILL
 from fitter.quality.finding import Finding, Verdict, counted, not_judged, percent
 from fitter.quality.measured import Measured
-from fitter.table import FILL
 
 FloatArray = NDArray[np.float64]
 

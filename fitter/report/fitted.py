@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.compression import CompressedTable
+from fitter.metadata import Channel
 from fitter.report.plane import spread
-from fitter.table import Channel, Table
+from fitter.table import Table
 
 if TYPE_CHECKING:
     from fitter.fitting.result import FitResult

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
+from fitter.metadata import Quantity
 from fitter.sampling.cells import ChartSlice
 from fitter.sampling.curvature import gain_of_image
 from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.majorants import ROUNDING, Point
 from fitter.sampling.maxima import BilinearMaximum
-from fitter.table import Quantity
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.table import Grid
+from fitter.grid import Grid
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -105,7 +105,7 @@ class Axis:
         return index
 
     def locate(self, x: FloatArray) -> Place:
-        """Where coordinates (M,), as :meth:`fitter.table.Grid.locate` returns them, lie."""
+        """Where coordinates (M,), as :meth:`fitter.grid.Grid.locate` returns them, lie."""
         x = self.fold(x)
         low, high = self.extent
         measured = (x >= low - SAME_ANGLE * 1e-3) & (x <= high + SAME_ANGLE * 1e-3)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
+from fitter.grid import Grid
 from fitter.sampling.axes import Axis, axes_of, corners
 from fitter.sampling.energy import GridEnergy, grid_energy
 from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.spherical import Node, SphericalSlice, powered
-from fitter.table import Grid
 
 if TYPE_CHECKING:
     from fitter.sampling.half_difference import WeightedTable

@@ -80,7 +80,7 @@ class Comparison:
     model: str
 
     def numbers(self) -> list[dict[str, Any]]:
-        """See :func:`apart`."""
+        """See :func:`fitter.scene.comparison.apart`."""
         return apart(_pixels(self.table), _pixels(self.fit), self.table.reference)
 
     def rows(self) -> list[list[str]]:
@@ -109,7 +109,7 @@ class Comparison:
         }  # fmt: skip
 
     def png(self) -> bytes:
-        """See :func:`beside`."""
+        """See :func:`fitter.scene.comparison.beside`."""
         return beside(_pixels(self.table), _pixels(self.fit), self.table.reference)
 
     def save(self, folder: Path) -> list[Path]:

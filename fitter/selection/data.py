@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.fitting import metrics
-from fitter.fitting.samples import Usable, usable
+from fitter.fitting.samples import Usable
+from fitter.fitting.usable import usable
 from fitter.selection.blocks import Blocks, blocks
 from fitter.spec import Metric, SelectionSpec
 from fitter.table import Table

@@ -17,7 +17,8 @@ from fitter.fitting import separable
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import padded, usable
+from fitter.fitting.samples import padded
+from fitter.fitting.usable import usable
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]

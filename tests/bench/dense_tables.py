@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fitter
-from fitter.table import Grid, Table
+from fitter.grid import Grid
+from fitter.table import Table
 from tests.bench.machine import ROOT
 from tests.bench.measuring import Size
 

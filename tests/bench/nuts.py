@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fitter.fitting.layout import layout
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.posterior.density import GAUSSIAN, Data, log_likelihood
 from fitter.posterior.diagnostics import diagnose
 from fitter.table import Table

@@ -13,7 +13,7 @@ from fitter import FitSpec, SpecError, models
 from fitter.calibration import Calibration, calibrate, load_calibration, run
 from fitter.calibration.truths import Truths, truths
 from fitter.fitting.result import Estimate
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.progress import Cancelled
 from tests.fitting.conftest import scattered
 

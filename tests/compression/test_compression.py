@@ -16,7 +16,9 @@ from fitter.compression.compressed import DAMAGED
 from fitter.directions import vector_from_spherical
 from fitter.errors import SpecError, TableError
 from fitter.formats.merl import merl_grid
-from fitter.table import Channel, Grid, Metadata, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 
 NUMBERS = st.one_of(
     st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True),

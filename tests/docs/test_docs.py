@@ -32,11 +32,13 @@ import pytest
 
 from fitter import datasets
 from fitter.cli.app import main, parser
+from fitter.formats import formats
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN_ADDRESS = "http://127.0.0.1:8000"
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+HEADING = re.compile(r"^#{1,6} (.+)$", re.MULTILINE)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 SHIMS = {
@@ -192,18 +194,51 @@ def test_everything_shown_runs(
         runpy.run_path(str(program), run_name="__main__")
 
 
+def anchors(path: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and the built site make them."""
+    found: set[str] = set()
+    for heading in HEADING.findall(FENCE.sub("", path.read_text())):
+        text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
+        slug = re.sub(r"[^\w\- ]", "", text).replace(" ", "-")
+        found.add(next(name for k in range(99) if (name := f"{slug}-{k}" if k else slug) not in found))
+    return found
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_links_lead_somewhere(path: Path) -> None:
     for target in LINK.findall(FENCE.sub("", path.read_text())):
-        if "://" in target or target.startswith("#"):
+        if "://" in target:
             continue
-        assert (path.parent / target.partition("#")[0]).exists(), f"{path.name} links {target}"
+        name, _, anchor = target.partition("#")
+        page = path.parent / name if name else path
+        assert page.exists(), f"{path.name} links {target}"
+        assert not anchor or anchor in anchors(page), f"{path.name} links {target}"
 
 
 def test_every_page_is_in_the_index() -> None:
     index = (ROOT / "docs" / "index.md").read_text()
-    for page in (ROOT / "docs").glob("*.md"):
-        assert page.name == "index.md" or f"({page.name})" in index, page.name
+    for page in (ROOT / "docs").iterdir():
+        if page.suffix in (".md", ".rst"):
+            assert page.name == "index.md" or f"({page.name})" in index, page.name
+
+
+def test_instructions_are_short_and_name_what_exists() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    sections = re.findall(r"^## (Adding [^\n]+)\n(.*?)(?=^## )", text, re.MULTILINE | re.DOTALL)
+    assert [name for name, _ in sections] == [
+        "Adding a model", "Adding a format", "Adding an effect", "Adding an export", "Adding a verb",
+    ]  # fmt: skip
+    for name, section in sections:
+        assert section.count("\n") < 50, name
+    for path in re.findall(r"`((?:fitter|tests|docs|api)/[\w/.-]+)`", text):
+        assert (ROOT / path).exists() or "NAME" in path, path
+
+
+def test_every_format_is_documented() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text()
+    assert set(re.findall(r"^\| `([\w-]+)` \| [^|]+ \| [^|]+ \| [^|]+ \|$", page, re.MULTILINE)) == {
+        one.name for one in formats()
+    }
 
 
 def test_every_verb_is_documented() -> None:

@@ -17,7 +17,7 @@ from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.order import in_order, order_axes, ordered_axes
 from fitter.fitting.polish import normal_equations
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.spec import Select
 from tests.fitting.conftest import TRUTHS, scattered
 from tests.fitting.test_fit import pull

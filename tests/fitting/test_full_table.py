@@ -12,7 +12,7 @@ import pytest
 import fitter
 from fitter import Table, models
 from fitter.fitting import metrics
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.formats.merl import merl_grid
 from fitter.spec import Select
 from tests.fitting.conftest import TRUTHS, scattered

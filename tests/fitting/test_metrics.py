@@ -13,7 +13,7 @@ import fitter
 from fitter import FitError, SpecError, Table, directions, models
 from fitter.fitting import metrics
 from fitter.fitting.measures import measures
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.grid import Grid
 from fitter.spec import Metric, Select
 from tests.fitting.conftest import TRUTHS, scattered

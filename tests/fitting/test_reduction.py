@@ -11,7 +11,7 @@ from fitter import models
 from fitter.fitting import reduction
 from fitter.fitting.layout import layout
 from fitter.fitting.polish import normal_equations
-from fitter.fitting.samples import usable
+from fitter.fitting.usable import usable
 from fitter.formats.merl import merl_grid
 from fitter.models.pair import Pair
 from fitter.spec import FitSpec, ModelSpec, Select

@@ -11,7 +11,9 @@ from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import load, load_all, write_delimited
 from fitter.formats.merl import merl_grid
-from fitter.table import Channel, Grid, Metadata, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 
 
 def text(*lines: str) -> bytes:

@@ -10,7 +10,7 @@ import pytest
 from fitter import directions
 from fitter.errors import NoTable, TableError
 from fitter.formats import load, load_all
-from fitter.table import Channel
+from fitter.metadata import Channel
 from tests.formats.samples import integra_bytes, lighttools_bytes, ssdd_bytes
 
 

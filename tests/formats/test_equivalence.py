@@ -19,7 +19,8 @@ from fitter.formats import formats, load, load_all, rgl_writer, specular, write
 from fitter.formats.mbsdf import mbsdf_grid
 from fitter.formats.merl import merl_grid
 from fitter.grid import Grid
-from fitter.table import Channel, Metadata, Table
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 
 #: Two fits of tables that differ by rounding of the last digit.
 SAME_FIT = 1e-9

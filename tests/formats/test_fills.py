@@ -14,8 +14,9 @@ from fitter import directions
 from fitter.errors import SpecError
 from fitter.formats import load, read_options, write
 from fitter.formats.fills import find_fills, no_data, repeated, trailing_zeros
+from fitter.masking import FILL
 from fitter.quality import check
-from fitter.table import FILL, Table
+from fitter.table import Table
 from tests.evidence.inputs import inputs
 from tests.formats.samples import mbsdf_bytes
 from tests.quality.tables import directions as raster

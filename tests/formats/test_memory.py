@@ -23,7 +23,9 @@ from hypothesis import strategies as st
 from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import load, load_all
-from fitter.table import Channel, Grid, Metadata, Table
+from fitter.grid import Grid
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 from tests.formats.samples import SAMPLES, Sample, delimited_bytes, netcdf_bytes
 
 COLUMNS = {

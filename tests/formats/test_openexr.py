@@ -15,7 +15,8 @@ from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import load, openexr_writer, write
 from fitter.grid import Grid
-from fitter.table import Channel, Metadata, Table
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 from tests.formats.samples import openexr_bytes
 from tests.formats.test_utia import DATA
 from tests.formats.test_writing import anisotropic, scattered, smooth

@@ -18,7 +18,8 @@ from fitter.formats.rgl_writer import lobe_width
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import fields
 from fitter.grid import Grid
-from fitter.table import Channel, Table
+from fitter.metadata import Channel
+from fitter.table import Table
 
 FloatArray = np.ndarray
 

@@ -8,7 +8,7 @@ import pytest
 from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import load
-from fitter.table import Channel
+from fitter.metadata import Channel
 from tests.formats.samples import alta_binary_bytes, alta_bytes, astm_bytes
 
 

@@ -14,7 +14,8 @@ from fitter.errors import SpecError, TableError
 from fitter.formats import formats, load, load_all, merl, specular, write
 from fitter.formats.merl import merl_grid
 from fitter.grid import Grid
-from fitter.table import Channel, Metadata, Table
+from fitter.metadata import Channel, Metadata
+from fitter.table import Table
 from tests.formats.samples import SAMPLES, zemax_bytes
 
 WRITABLE = sorted(entry.name for entry in formats() if entry.write is not None)

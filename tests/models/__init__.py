@@ -94,3 +94,15 @@ FEWER = tuple(
         ]
     )
 )
+
+
+def _drawing(name: str) -> tuple[object, ...]:
+    """What tells the draws of two models apart. Distributions of normals are Torrance-Sparrow's: other
+    families draw theirs by the same code."""
+    spec = ModelSpec.parse(name)
+    normals = spec.ndf if spec.family == "torrance_sparrow" else None
+    return spec.family, spec.anisotropic, normals, spec.components
+
+
+#: Those of them that are drawn from.
+DRAWN = tuple({_drawing(name): name for name in reversed(FEWER)}.values())[::-1]

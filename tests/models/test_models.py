@@ -21,7 +21,7 @@ from fitter import SpecError, models
 from fitter.models.base import _sample
 from fitter.sampling import Samples
 from fitter.spec import OPTIONS
-from tests.models import FEWER, MODELS, cells
+from tests.models import DRAWN, FEWER, MODELS, cells
 from tests.models.conftest import draw
 from tests.models.statistics import chi_square_p, finite, hemisphere, ideal_share
 
@@ -45,6 +45,11 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module", params=FEWER)
 def few(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module", params=DRAWN)
+def drawable(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
@@ -153,9 +158,9 @@ def drawn(name: str, degrees: float, dtype: str) -> Samples:
 
 # The study of all models (tests/evidence) has every incidence in both.
 @pytest.mark.parametrize(("degrees", "dtype"), [(0.0, "float64"), (40.0, "float64"), (85.0, "float32")])
-def test_samples_follow_the_pdf(few, degrees, dtype):
+def test_samples_follow_the_pdf(drawable, degrees, dtype):
     """Chi-square over bins of the hemisphere (sphere), what is lost below the horizon a bin of its own."""
-    model, samples = draw(few, 9), drawn(few, degrees, dtype)
+    model, samples = draw(drawable, 9), drawn(drawable, degrees, dtype)
     sphere = model.transmits(model.spec)
     theta, phi = cells.edges(24 if sphere else 12, 24, sphere)
     wi = incidence(degrees).astype(dtype).astype(float)
@@ -179,8 +184,8 @@ def test_samples_follow_the_pdf(few, degrees, dtype):
     assert chi_square_p(np.append(counts, lost), expected) > 1e-6
 
 
-def test_weights_estimate_what_is_reflected_and_transmitted(few):
-    model, samples = draw(few, 9), drawn(few, 40.0, "float64")
+def test_weights_estimate_what_is_reflected_and_transmitted(drawable):
+    model, samples = draw(drawable, 9), drawn(drawable, 40.0, "float64")
     _weights_estimate(model, incidence(40.0), samples)
     if model.transmits(model.spec):
         below = incidence(40.0) * [1.0, 1.0, -1.0]
@@ -212,8 +217,8 @@ def coarse_albedo(model: models.ReflectanceModel, wi: np.ndarray) -> np.ndarray:
     )
 
 
-def test_weights_are_value_over_density(few):
-    model, samples = draw(few, 9), drawn(few, 40.0, "float64")
+def test_weights_are_value_over_density(drawable):
+    model, samples = draw(drawable, 9), drawn(drawable, 40.0, "float64")
     take = slice(0, PAIRS)
     plain = ~samples.is_delta[take] & samples.valid[take]
     value = evaluate(model, np.broadcast_to(incidence(40.0), (PAIRS, 3)), samples.wo[take])
@@ -225,8 +230,8 @@ def test_weights_are_value_over_density(few):
     assert not samples.weight[~samples.valid].any()
 
 
-def test_same_seed_same_draws(few):
-    model, first = draw(few, 9), drawn(few, 40.0, "float64")
+def test_same_seed_same_draws(drawable):
+    model, first = draw(drawable, 9), drawn(drawable, 40.0, "float64")
     again, other = (model.sample(incidence(40.0), len(first), seed=s) for s in (7, 8))
     np.testing.assert_array_equal(first.wo, again.wo)
     np.testing.assert_array_equal(first.weight, again.weight)
@@ -237,11 +242,11 @@ def test_same_seed_same_draws(few):
 # float32 ----------------------------------------------------------------------------------------------
 
 
-def test_float32_stays_float32(few):
-    model = draw(few, 9)
+def test_float32_stays_float32(drawable):
+    model = draw(drawable, 9)
     wi, wo = (jnp.asarray(hemisphere(seed, PAIRS, 0.01), jnp.float32) for seed in (9, 10))
     single = eqx.tree_at(lambda m: m.values, model, {k: v.astype("float32") for k, v in model.values.items()})
-    samples = drawn(few, 85.0, "float32")
+    samples = drawn(drawable, 85.0, "float32")
     # Value and density are part of this program. Traced, it may few constants in f64; compiled, it may not.
     program = _sample.lower(single, wi[0], len(samples), jax.random.key(0)).compile()
     assert "f64" not in program.compiled.as_text()
@@ -262,6 +267,7 @@ def test_float32_is_finite_at_hard_directions(few, pairs, seed):
     wi = np.tile([direction(mu_i, 0.0) for mu_i, _, _ in pairs], (repeats, 1)).astype(np.float32)
     wo = np.tile([direction(mu_o, phi) for _, mu_o, phi in pairs], (repeats, 1)).astype(np.float32)
     value = evaluate(model, wi, wo)
+    assert value.dtype == np.float32
     assert np.isfinite(value).all()
     assert (value >= 0).all() or few == NEGATIVE
 

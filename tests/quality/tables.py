@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.directions import vector_from_spherical
-from fitter.table import Metadata, Table
+from fitter.metadata import Metadata
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from fitter.directions import vector_from_spherical
 from fitter.documents import dumps
 from fitter.grid import Grid
+from fitter.metadata import Metadata
 from fitter.quality import check
-from fitter.table import Metadata, Table
+from fitter.table import Table
 
 LEVELS = st.sampled_from([0.0, 1e-300, 1e-12, 0.3, 1.0, 1e12, 1e150, -1e-3])
 

@@ -10,8 +10,9 @@ import pytest
 from fitter.directions import mirror, vector_from_spherical
 from fitter.formats import load
 from fitter.grid import Grid
+from fitter.metadata import Metadata
 from fitter.quality import check
-from fitter.table import Metadata, Table
+from fitter.table import Table
 from tests.quality.tables import directions, glossy, table
 
 

@@ -9,8 +9,10 @@ import pytest
 
 import fitter
 from fitter.directions import mirror, vector_from_spherical
+from fitter.grid import Grid
+from fitter.metadata import Metadata
 from fitter.quality import Check, check
-from fitter.table import Grid, Metadata, Table
+from fitter.table import Table
 from tests.quality.tables import directions, glossy, table, with_metadata
 from tests.sampling.tables import anisotropic, ggx, merl, spherical
 

@@ -12,10 +12,11 @@ import pytest
 
 from fitter import directions, models
 from fitter.fitting.result import Estimate, FitResult
+from fitter.metadata import Metadata
 from fitter.posterior.result import Diagnostic, Posterior
 from fitter.report import Report
 from fitter.spec import FitSpec, ModelSpec, PosteriorSpec
-from fitter.table import Metadata, Table
+from fitter.table import Table
 
 MakeTable = Callable[..., Table]
 MakeFit = Callable[..., FitResult]

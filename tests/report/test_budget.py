@@ -11,12 +11,12 @@ from scipy import stats
 
 import fitter
 from fitter import directions, models
+from fitter.metadata import Metadata
 from fitter.posterior import offset_sensitivities, robust
 from fitter.posterior.offsets import ANGLES, shifted, tangents
 from fitter.report.budget import LEVEL, OFFSETS, budget
 from fitter.report.fitted import Fitted
 from fitter.report.propagation import section, tolerance
-from fitter.table import Metadata
 from tests.fitting.conftest import scattered
 
 SCALE, ANGLE = 0.02, np.deg2rad(0.1)

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 import fitter
 from fitter import datasets, directions
 from fitter.formats import load, load_all
+from fitter.grid import Grid
 from fitter.report.portrait import portrait
 from fitter.report.portrait_figure import draw, png
-from fitter.table import Grid, Table
+from fitter.table import Table
 from tests.formats.samples import SAMPLES, Sample
 from tests.quality.tables import glossy, table
 

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 import fitter
 from fitter.directions import vector_from_spherical
-from fitter.table import Grid, Table
+from fitter.grid import Grid
+from fitter.table import Table
 from tests.formats.samples import rgl_fields, tensor_file
 
 FloatArray = NDArray[np.float64]

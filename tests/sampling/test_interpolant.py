@@ -12,8 +12,9 @@ from scipy.signal import find_peaks
 
 from fitter.directions import mirror, vector_from_spherical
 from fitter.errors import TableError
+from fitter.grid import Grid
 from fitter.sampling.interpolant import interpolant
-from fitter.table import Grid, Table
+from fitter.table import Table
 from tests.sampling.tables import anisotropic, ggx, merl, scattered, spherical
 
 

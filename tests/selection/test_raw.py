@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import fitter
+from fitter.grid import Grid
 from fitter.selection.compare import Difference
 from fitter.selection.data import Data
 from fitter.selection.raw import RawPrediction, raw_prediction, repeatability
 from fitter.selection.result import Ranked, RawTable
 from fitter.selection.words import Facts, sentences, verdict
 from fitter.spec import selection_spec
-from fitter.table import Grid
 from tests.selection.conftest import geometry
 
 

@@ -7,7 +7,8 @@ import pytest
 
 import fitter
 from fitter import datasets, directions
-from fitter.table import Grid, Table
+from fitter.grid import Grid
+from fitter.table import Table
 from fitter.views import Views, in_plane, lobe
 from tests.quality.tables import table
 

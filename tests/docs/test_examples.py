@@ -1,0 +1,62 @@
+"""The programs of examples/ run, and say what their own words promise."""
+
+from __future__ import annotations
+
+import csv
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What an example prints, called as a person does."""
+    monkeypatch.setattr(sys, "argv", [name, *words])
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    return capsys.readouterr().out
+
+
+def test_all_are_tested_and_in_the_index() -> None:
+    index = (EXAMPLES.parent / "docs" / "index.md").read_text()
+    for path in EXAMPLES.glob("*.py"):
+        assert f"`{path.name}`" in index
+        assert f'"{path.name}"' in Path(__file__).read_text()
+
+
+def test_uncertainty_budget(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The paint's misfit is far above its noise, and the combined uncertainty has both."""
+    said = run("uncertainty_budget.py", monkeypatch, capsys)
+    head = next(line for line in said.splitlines() if line.strip().startswith("parameter")).split()
+    assert head == [
+        "parameter", "y", "noise", "scale", "theta_i", "theta_o", "phi", "discrepancy", "u", "k", "U",
+    ]  # fmt: skip
+    red = next(line for line in said.splitlines() if line.strip().startswith("kd[R]"))
+    noise, scale, *_, discrepancy = (float(share) for share in re.findall(r"(\S+) %", red))
+    assert scale == 0.5  # the table's own
+    assert discrepancy > 20 * noise > 0
+
+
+def test_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    said = run("look.py", monkeypatch, capsys, "--out", str(tmp_path / "look"))
+    made = {path.name for path in (tmp_path / "look").iterdir()}
+    assert {"paint.gltf", "paint.mtlx", "paint.glsl", "compare.png"} <= made
+    assert said.count("A refit as") == 2
+    assert "pixels are" in said
+
+
+def test_folder_of_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "night"
+    said = run("folder_of_tables.py", monkeypatch, capsys, "--out", str(out))
+    assert said.count("2 done") == 2
+    with (out / "cbrt" / "summary.csv").open(newline="") as file:
+        assert [row["table"] for row in csv.DictReader(file)] == ["diffuse_plaster", "glossy_paint"]
+    assert re.search(r"glossy_paint, oren_nayar: converged, relative rmse \S+ !", said)
+    assert not re.search(r"diffuse_plaster, .* !", said)
+    again = run("folder_of_tables.py", monkeypatch, capsys, "--out", str(out))
+    assert again.count("0 done") == again.count("2 were there") == 2
