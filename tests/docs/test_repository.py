@@ -55,7 +55,7 @@ def test_templates_ask_for_commands_that_exist(path: Path) -> None:
         head = yaml.safe_load(text.split("---")[1])
         assert set(head) == {"name", "about"}
     assert set(re.findall(r"brdf-fitter (\w+)", text)) <= set(VERBS)
-    assert set(re.findall(r"`make (\w+)`", text)) <= _targets()
+    assert set(re.findall(r"`make ([\w-]+)`", text)) <= _targets()
 
 
 def test_what_integration_runs_are_targets_that_a_person_has() -> None:
