@@ -53,8 +53,8 @@ serve: .venv/.installed ## start the HTTP service on http://127.0.0.1:8000
 	$(BIN)/brdf-fitter serve $(ARGS)
 
 # Root and debootstrap; ARGS="--lend /etc/pip.conf" where pip needs something of this machine.
-image-check: .venv/.installed ## do the Dockerfile's steps without a container engine
-	$(BIN)/python -m tests.image --work $(or $(IMAGE),/var/tmp/brdf-fitter-image) $(ARGS)
+image-check: ## do the Dockerfile's steps without a container engine
+	$(PYTHON) -m tests.image --work $(or $(IMAGE),/var/tmp/brdf-fitter-image) $(ARGS)
 
 lock: ## resolve requirements.lock and docs/requirements.lock again (needs uv)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \

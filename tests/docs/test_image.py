@@ -82,8 +82,8 @@ def test_its_commands_are_taken_and_name_each_other() -> None:
     found = services()["services"]
     commands = {name: one["command"] for name, one in found.items() if "command" in one}
     assert set(commands) == {"upgrade", "scheduler", "worker", "server"}
-    for words in commands.values():
-        taken(words)
+    for command in commands.values():
+        taken(command)
     address = commands["worker"][2]
     assert address in commands["server"]
     host, _, port = address.removeprefix("tcp://").partition(":")

@@ -1,4 +1,4 @@
-"""``python -m tests.image``: the Dockerfile's steps by chroot in plain root file systems; its service started.
+"""``python -m tests.image``: the Dockerfile's steps by chroot in plain root file systems, and its service.
 
 For machines without a container engine. It needs root, debootstrap and a network. In place of the image
 python:3.11-slim stands Debian 12 with its own Python 3.11. What differs from an engine: no layers, no limits,
@@ -8,6 +8,7 @@ the network and the clock of this machine while it is built; the service runs in
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -86,38 +87,32 @@ def _build(stage: Stage, root: Root, built: Mapping[str, Root]) -> None:
 
 
 def _serve(stage: Stage, root: Root) -> None:
-    """CMD as the user, a key beforehand; the health check and a fit; then it is ended as `docker stop` does."""
+    """CMD as the user, a key beforehand; the health check and a fit; the end as `docker stop` brings it."""
     command, health = stage.last("CMD"), stage.last("HEALTHCHECK")
     assert command is not None
     assert health is not None
-    key = root.run(
-        ["brdf-fitter", "keys", "create", "--owner", "check", "--folder", "/data"], lend=False
-    ).stdout.split()
-    (secret,) = [word for word in key if len(word) >= 32]
-    service = root.start(words(command))
-    try:
-        _healthy(root, service, words(health))
-        ids = Path(f"/proc/{service.pid}/status").read_text().split("Uid:")[1].split()[:4]
+    made = ["brdf-fitter", "keys", "create", "--owner", "check", "--folder", "/data", "--json"]
+    secret = str(json.loads(root.run(made, lend=False).stdout)["secret"])
+    with root.started(words(command)) as (ending, service):
+        _healthy(root, ending, service, words(health))
+        ids = Path(f"/proc/{service}/status").read_text().split("Uid:")[1].split()[:4]
         assert set(ids) == {root.user}, f"the service runs as {ids}"
         for line in (
             ["brdf-fitter", "datasets", "copy", "glossy_paint", "--out", "/tmp/tables"],
             ["brdf-fitter", "--server", "http://127.0.0.1:8000", "fit", "/tmp/tables/glossy_paint.csv",
              "--model", "oren_nayar"],
         ):  # fmt: skip
-            root.run(line, within=service.pid, more={"BRDF_FITTER_KEY": secret}, lend=False)
+            root.run(line, within=service, more={"BRDF_FITTER_KEY": secret}, lend=False)
         print("healthy, not root, and fits a table")
-        service.send_signal(signal.SIGTERM)
-        status = service.wait(10)  # as long as an engine waits
+        os.kill(service, signal.SIGTERM)
+        status = ending.wait(10)  # as long as an engine waits
         assert status == 0, f"stopped with status {status}"
-    finally:
-        service.kill()
-        service.wait()
 
 
-def _healthy(root: Root, service: subprocess.Popen[str], check: Sequence[str]) -> None:
+def _healthy(root: Root, ending: subprocess.Popen[str], service: int, check: Sequence[str]) -> None:
     end = time.monotonic() + _PATIENCE
-    while root.run(check, within=service.pid, strict=False, lend=False).returncode != 0:
-        if service.poll() is not None or time.monotonic() > end:
+    while root.run(check, within=service, strict=False, lend=False).returncode != 0:
+        if ending.poll() is not None or time.monotonic() > end:
             raise SystemExit(f"not healthy: {' '.join(check)}")
         time.sleep(1)
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,14 +72,24 @@ class Root:
             raise SystemExit(f"{shlex.join(words)}\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
         return done
 
-    def start(self, words: Sequence[str]) -> subprocess.Popen[str]:
-        """Start a command that goes on, in a network of its own."""
-        return subprocess.Popen(
-            [*self._entering(False, network=True), *self._command(words, {})], text=True,
+    @contextmanager
+    def started(self, words: Sequence[str]) -> Generator[tuple[subprocess.Popen[str], int]]:
+        """A command that goes on, with a network of its own and as its first process, which signals end only
+        if it listens to them: the process that ends when it does, and the command's id here."""
+        unshare = subprocess.Popen(
+            [*self._entering(False, own=True), *self._command(words, {})], text=True,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
+        try:
+            children = Path(f"/proc/{unshare.pid}/task/{unshare.pid}/children")
+            while not (found := children.read_text().split()) and unshare.poll() is None:
+                time.sleep(0.05)
+            yield unshare, int(found[0])
+        finally:
+            unshare.kill()  # and with it what it started
+            unshare.wait()
 
-    def _entering(self, lend: bool, *, network: bool = False) -> list[str]:
+    def _entering(self, lend: bool, *, own: bool = False) -> list[str]:
         root = shlex.quote(str(self.path))
         steps = [_MOUNTS.format(root=root)]
         for path in self.lent if lend else ():
@@ -85,13 +97,13 @@ class Root:
             # The mount's place goes with the mount where nothing was there before.
             make = f"mkdir -p {inside}" if path.is_dir() else f"touch {inside}"
             steps.append(f"{make}; mount --bind -o ro {shlex.quote(str(path))} {inside}")
-        if network:
+        if own:
             steps.append("ip link set lo up")
-        spaces = ["--mount", *(["--net"] if network else [])]
+        spaces = ["--mount", *(["--net", "--pid", "--fork", "--kill-child"] if own else [])]
         return ["unshare", *spaces, "sh", "-ec", "; ".join([*steps, 'exec "$@"']), "sh"]
 
     def _joining(self, process: int) -> list[str]:
-        return ["nsenter", "--target", str(process), "--mount", "--net"]
+        return ["nsenter", "--target", str(process), "--mount", "--net", "--pid"]
 
     def _command(self, words: Sequence[str], more: Mapping[str, str]) -> list[str]:
         group, home = self._account()
