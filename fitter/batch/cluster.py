@@ -5,6 +5,7 @@ Through the scheduler go names, options and, of files that hold several tables, 
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -27,10 +28,8 @@ _AHEAD = 4
 #: Seconds between two reports of progress, and to wait for a scheduler.
 _LOOK_EVERY, _PATIENCE = 0.5, 10.0
 #: A worker has one core: more threads than that only stand in each other's way.
-_ONE_THREAD = {
-    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1",
-}  # fmt: skip
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+_XLA = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
 
 
 @dataclass
@@ -190,11 +189,14 @@ def client(workers: int, scheduler: str | None) -> Generator[Client]:
         with found:
             yield found
         return
+    # What this process was told of the compiler holds for the workers, too: they find the same numbers.
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()
     with (
         tempfile.TemporaryDirectory(prefix="brdf-batch-") as place,
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-            local_directory=place, env=_ONE_THREAD, silence_logs=50,
+            local_directory=place, env={**_ONE_THREAD, "XLA_FLAGS": flags},
+            silence_logs=50,
         ) as own,
         Client(own, set_as_default=False) as found,
     ):  # fmt: skip
