@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _AHEAD = 4
 #: Seconds between two reports of progress, and to wait for a scheduler.
 _LOOK_EVERY, _PATIENCE = 0.5, 10.0
+#: Seconds of all workers together that may go into reading a file of several tables again and again.
+_READING = 10.0
 #: A worker has one core: more threads than that only stand in each other's way.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 _XLA = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
@@ -36,9 +38,14 @@ _XLA = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_coun
 class _Parts:
     """A unit of several tables that is done in shares: what is left and what has come."""
 
+    count: int
     left: int
     records: list[Mapping[str, Any]] = field(default_factory=list[Mapping[str, Any]])
     tables: dict[int, Mapping[str, Any]] = field(default_factory=dict[int, Mapping[str, Any]])
+
+    @property
+    def done(self) -> float:
+        return 1.0 - self.left / self.count
 
 
 @dataclass(frozen=True)
@@ -58,12 +65,13 @@ class _Task:
 
 def ends(
     client: Client, todo: Iterator[tuple[Unit, str]], spec: dict[str, Any], folder: Path,
-    say: Callable[[int | None], None],
+    say: Callable[[int | None, float], None],
 ) -> Iterator[bool]:  # fmt: skip
     """Does the units; for each that ends, whether it failed. ``say`` is told how many tasks are under way,
-    and None where there is no worker."""
+    None where there is no worker, and how much is done of the units that are done in shares."""
     shares: deque[_Task] = deque()
     running: dict[Any, _Task] = {}
+    open_units: dict[str, _Parts] = {}
     try:
         while True:
             with _scheduler():
@@ -80,8 +88,10 @@ def ends(
                 with disk(folder), _scheduler():
                     end = _end(future, task)
                 if "tables" in end:
-                    count = min(end["tables"], _AHEAD * max(1, workers))
-                    parts = _Parts(count)
+                    # Every share reads the file again: as many shares as that may cost, tables at most.
+                    bearable = max(_AHEAD * workers, 1, int(_READING / max(end["seconds"], 1e-3)))
+                    count = min(end["tables"], bearable)
+                    parts = open_units[task.unit.name] = _Parts(count, count)
                     shares += [_Task(task.unit, task.key, (k, count), parts) for k in range(count)]
                     continue
                 record = end.get("record")
@@ -89,11 +99,12 @@ def ends(
                     record = _joined(task.parts, end, task)
                     if record is None:
                         continue
+                    del open_units[task.unit.name]
                 if record is not None:
                     with disk(folder):
                         working.write_record(folder, record)
                 yield end["failed"] if record is None else working.failed(record)
-            say(len(running) if workers else None)
+            say(len(running) if workers else None, sum(one.done for one in open_units.values()))
     finally:
         for future in running:
             future.cancel()

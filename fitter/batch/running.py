@@ -6,6 +6,7 @@ is finished is finished: running the same plan into the same folder again does t
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Generator, Iterator, Mapping
@@ -103,8 +104,10 @@ class _Counter:
         self.failed += failed
         self.say(0)
 
-    def say(self, running: int | None) -> None:
-        """``running`` : tasks under way; None where there is no worker to do them."""
+    def say(self, running: int | None, part: float = 0.0) -> None:
+        """``running`` : tasks under way; None where there is no worker to do them. ``part`` : units' worth of
+        what is done of unfinished ones."""
+        done = self.done + part
         words = f"{self.done} of {self._total} done"
         if running is None:
             words += ", waiting for a worker"
@@ -112,10 +115,10 @@ class _Counter:
             words += f", {running} running"
         if self.failed:
             words += f", {self.failed} failed"
-        if self.done:
-            left = (time.monotonic() - self._begun) / self.done * (self._total - self.done)
+        if done:
+            left = (time.monotonic() - self._begun) / done * (self._total - done)
             words += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
-        self._report(self.done / self._total, words)
+        self._report(done / self._total, words)
 
 
 @contextmanager
@@ -137,5 +140,6 @@ def _here(
     for unit, key in todo:
         counter.say(1)
         with disk(folder):
-            failed = working.work(unit.to_dict(), spec, key, str(folder))["failed"]
+            told = functools.partial(counter.say, 1)
+            failed = working.work(unit.to_dict(), spec, key, str(folder), told=told)["failed"]
         yield failed

@@ -11,7 +11,7 @@ import logging
 import shutil
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from fitter.batch.specification import BatchSpec, batch_spec
 from fitter.documents import read_document, write_document
 from fitter.errors import FitterError, SpecError
 from fitter.memory_maps import forget_when_many
+from fitter.progress import Cancelled
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -51,15 +52,17 @@ def start() -> None:
 def work(
     unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str,
     share: tuple[int, int] | None = None, *, split: bool = False,
+    told: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Do one unit and write its record to its folder. Arguments and result are plain data.
 
     share : (k, n): of a unit of several tables only every n-th from the k-th; the record is left to the
         caller.
     split : do nothing where the unit holds several tables, but say how many.
+    told : called after each table with how much of the unit is done; what it raises ends the work.
 
     Returns ``failed``, and of a share the ``record`` and which tables it is of (``order``); or, where it is
-    to be split, ``tables``, their number.
+    to be split, ``tables``, their number, and the ``seconds`` that reading them took.
 
     What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
     where the disk is full: then nothing else will work either.
@@ -76,7 +79,7 @@ def work(
     try:
         opened = _opened(todo)
         if split and len(opened) > 1:
-            return {"tables": len(opened)}
+            return {"tables": len(opened), "seconds": time.monotonic() - begun}
         names = _names(todo, opened)
         for k in range(len(opened)) if share is None else range(share[0], len(opened), share[1]):
             place = folder if len(opened) == 1 else folder / names[k]
@@ -85,6 +88,9 @@ def work(
             order.append(k)
             if len(opened) > 1 and known is None:
                 write_document({"key": key, "table": tables[-1]}, place / TABLE)
+            told((k + 1) / len(opened))
+    except Cancelled:
+        raise
     except FitterError as error:
         problem = error.to_dict()
     except OSError:
