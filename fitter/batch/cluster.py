@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitter.batch import working
+from fitter.batch import records, working
 from fitter.batch.disk import disk
 from fitter.batch.planning import Unit
 from fitter.errors import FitError, SpecError
@@ -102,8 +102,8 @@ def ends(
                     del open_units[task.unit.name]
                 if record is not None:
                     with disk(folder):
-                        working.write_record(folder, record)
-                yield end["failed"] if record is None else working.failed(record)
+                        records.write_record(folder, record)
+                yield end["failed"] if record is None else records.failed(record)
             say(len(running) if workers else None, sum(one.done for one in open_units.values()))
     finally:
         for future in running:
@@ -154,7 +154,7 @@ def _joined(parts: _Parts, end: Mapping[str, Any], task: _Task) -> dict[str, Any
         return None
     error = next((record["error"] for record in parts.records if record["error"] is not None), None)
     seconds = sum(record["seconds"] or 0.0 for record in parts.records)
-    return working.record_of(
+    return records.record_of(
         task.unit, task.key, seconds, [table for _, table in sorted(parts.tables.items())], error
     )
 
@@ -172,7 +172,7 @@ def _end(future: Any, task: _Task) -> dict[str, Any]:
             "cause": f"it needs more memory than a worker has ({error})",
             "remedy": "fit it alone with `brdf-fitter fit`, or with fewer --workers",
         }  # fmt: skip
-        record = working.record_of(task.unit, task.key, error=problem)
+        record = records.record_of(task.unit, task.key, error=problem)
         return {"failed": True, "record": record, "order": []}
 
 

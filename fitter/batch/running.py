@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fitter import progress as reporting
-from fitter.batch import cluster, summing, working
+from fitter.batch import cluster, records, summing, working
 from fitter.batch.disk import disk
 from fitter.batch.planning import Plan, Unit
 from fitter.documents import write_document
@@ -86,8 +86,8 @@ def run(
 
 def _finished(unit: Unit, keys: Mapping[str, str], folder: Path) -> bool:
     """Whether the unit was done as asked now and did not fail."""
-    record = working.read_record(folder, unit.name)
-    return record is not None and record.get("key") == keys[unit.name] and not working.failed(record)
+    record = records.read_record(folder, unit.name)
+    return record is not None and record.get("key") == keys[unit.name] and not records.failed(record)
 
 
 class _Counter:
