@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitter.batch import working
+from fitter.batch import records, working
 from fitter.batch.disk import disk
 from fitter.batch.planning import Unit
 from fitter.errors import FitError, SpecError
@@ -27,18 +27,25 @@ if TYPE_CHECKING:
 _AHEAD = 4
 #: Seconds between two reports of progress, and to wait for a scheduler.
 _LOOK_EVERY, _PATIENCE = 0.5, 10.0
+#: Seconds of all workers together that may go into reading a file of several tables again and again.
+_READING = 10.0
 #: A worker has one core: more threads than that only stand in each other's way.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-_XLA_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
+_XLA = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
 
 
 @dataclass
 class _Parts:
     """A unit of several tables that is done in shares: what is left and what has come."""
 
+    count: int
     left: int
     records: list[Mapping[str, Any]] = field(default_factory=list[Mapping[str, Any]])
     tables: dict[int, Mapping[str, Any]] = field(default_factory=dict[int, Mapping[str, Any]])
+
+    @property
+    def done(self) -> float:
+        return 1.0 - self.left / self.count
 
 
 @dataclass(frozen=True)
@@ -58,12 +65,13 @@ class _Task:
 
 def ends(
     client: Client, todo: Iterator[tuple[Unit, str]], spec: dict[str, Any], folder: Path,
-    say: Callable[[int | None], None],
+    say: Callable[[int | None, float], None],
 ) -> Iterator[bool]:  # fmt: skip
     """Does the units; for each that ends, whether it failed. ``say`` is told how many tasks are under way,
-    and None where there is no worker."""
+    None where there is no worker, and how much is done of the units that are done in shares."""
     shares: deque[_Task] = deque()
     running: dict[Any, _Task] = {}
+    open_units: dict[str, _Parts] = {}
     try:
         while True:
             with _scheduler():
@@ -80,8 +88,10 @@ def ends(
                 with disk(folder), _scheduler():
                     end = _end(future, task)
                 if "tables" in end:
-                    count = min(end["tables"], _AHEAD * max(1, workers))
-                    parts = _Parts(count)
+                    # Every share reads the file again: as many shares as that may cost, tables at most.
+                    bearable = max(_AHEAD * workers, 1, int(_READING / max(end["seconds"], 1e-3)))
+                    count = min(end["tables"], bearable)
+                    parts = open_units[task.unit.name] = _Parts(count, count)
                     shares += [_Task(task.unit, task.key, (k, count), parts) for k in range(count)]
                     continue
                 record = end.get("record")
@@ -89,11 +99,12 @@ def ends(
                     record = _joined(task.parts, end, task)
                     if record is None:
                         continue
+                    del open_units[task.unit.name]
                 if record is not None:
                     with disk(folder):
-                        working.write_record(folder, record)
-                yield end["failed"] if record is None else working.failed(record)
-            say(len(running) if workers else None)
+                        records.write_record(folder, record)
+                yield end["failed"] if record is None else records.failed(record)
+            say(len(running) if workers else None, sum(one.done for one in open_units.values()))
     finally:
         for future in running:
             future.cancel()
@@ -143,7 +154,7 @@ def _joined(parts: _Parts, end: Mapping[str, Any], task: _Task) -> dict[str, Any
         return None
     error = next((record["error"] for record in parts.records if record["error"] is not None), None)
     seconds = sum(record["seconds"] or 0.0 for record in parts.records)
-    return working.record_of(
+    return records.record_of(
         task.unit, task.key, seconds, [table for _, table in sorted(parts.tables.items())], error
     )
 
@@ -161,7 +172,7 @@ def _end(future: Any, task: _Task) -> dict[str, Any]:
             "cause": f"it needs more memory than a worker has ({error})",
             "remedy": "fit it alone with `brdf-fitter fit`, or with fewer --workers",
         }  # fmt: skip
-        record = working.record_of(task.unit, task.key, error=problem)
+        record = records.record_of(task.unit, task.key, error=problem)
         return {"failed": True, "record": record, "order": []}
 
 
@@ -189,13 +200,14 @@ def client(workers: int, scheduler: str | None) -> Generator[Client]:
         with found:
             yield found
         return
-    # What the environment says to XLA stands, or workers would compile other programs than this process does.
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {_XLA_ONE_THREAD}".strip()
+    # What this process was told of the compiler holds for the workers, too: they find the same numbers.
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()
     with (
         tempfile.TemporaryDirectory(prefix="brdf-batch-") as place,
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-            local_directory=place, env=_ONE_THREAD | {"XLA_FLAGS": flags}, silence_logs=50,
+            local_directory=place, env={**_ONE_THREAD, "XLA_FLAGS": flags},
+            silence_logs=50,
         ) as own,
         Client(own, set_as_default=False) as found,
     ):  # fmt: skip

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from fitter.batch.planning import TABLES
+from fitter.batch.records import KIND, RECORD
 from fitter.batch.summing import rows_of
-from fitter.batch.working import KIND, RECORD
 from fitter.documents import read_document
 from fitter.errors import SpecError
 

@@ -6,6 +6,7 @@ is finished is finished: running the same plan into the same folder again does t
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Generator, Iterator, Mapping
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fitter import progress as reporting
-from fitter.batch import cluster, summing, working
+from fitter.batch import cluster, records, summing, working
 from fitter.batch.disk import disk
 from fitter.batch.planning import Plan, Unit
 from fitter.documents import write_document
@@ -85,8 +86,8 @@ def run(
 
 def _finished(unit: Unit, keys: Mapping[str, str], folder: Path) -> bool:
     """Whether the unit was done as asked now and did not fail."""
-    record = working.read_record(folder, unit.name)
-    return record is not None and record.get("key") == keys[unit.name] and not working.failed(record)
+    record = records.read_record(folder, unit.name)
+    return record is not None and record.get("key") == keys[unit.name] and not records.failed(record)
 
 
 class _Counter:
@@ -103,8 +104,10 @@ class _Counter:
         self.failed += failed
         self.say(0)
 
-    def say(self, running: int | None) -> None:
-        """``running`` : tasks under way; None where there is no worker to do them."""
+    def say(self, running: int | None, part: float = 0.0) -> None:
+        """``running`` : tasks under way; None where there is no worker to do them. ``part`` : units' worth of
+        what is done of unfinished ones."""
+        done = self.done + part
         words = f"{self.done} of {self._total} done"
         if running is None:
             words += ", waiting for a worker"
@@ -112,10 +115,10 @@ class _Counter:
             words += f", {running} running"
         if self.failed:
             words += f", {self.failed} failed"
-        if self.done:
-            left = (time.monotonic() - self._begun) / self.done * (self._total - self.done)
+        if done:
+            left = (time.monotonic() - self._begun) / done * (self._total - done)
             words += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
-        self._report(self.done / self._total, words)
+        self._report(done / self._total, words)
 
 
 @contextmanager
@@ -137,5 +140,6 @@ def _here(
     for unit, key in todo:
         counter.say(1)
         with disk(folder):
-            failed = working.work(unit.to_dict(), spec, key, str(folder))["failed"]
+            told = functools.partial(counter.say, 1)
+            failed = working.work(unit.to_dict(), spec, key, str(folder), told=told)["failed"]
         yield failed

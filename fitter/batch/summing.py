@@ -16,7 +16,7 @@ from pyarrow import parquet
 from fitter._version import __version__
 from fitter.batch import page
 from fitter.batch.planning import Plan
-from fitter.batch.working import read_record
+from fitter.batch.records import read_record
 from fitter.documents import aside, write_bytes
 
 Row = dict[str, Any]

@@ -11,15 +11,17 @@ import logging
 import shutil
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitter.batch import records
 from fitter.batch.planning import TABLES, Unit, folder_name
 from fitter.batch.specification import BatchSpec, batch_spec
-from fitter.documents import read_document, write_document
-from fitter.errors import FitterError, SpecError
+from fitter.documents import write_document
+from fitter.errors import FitterError
 from fitter.memory_maps import forget_when_many
+from fitter.progress import Cancelled
 
 if TYPE_CHECKING:
     from fitter.fitting import FitResult
@@ -27,12 +29,6 @@ if TYPE_CHECKING:
     from fitter.table import Table
 
 _log = logging.getLogger("brdf_fitter.batch")
-
-#: The record of a finished unit, in its folder.
-RECORD = "unit.json"
-#: That of one of a unit's several tables.
-TABLE = "table.json"
-KIND = "brdf-fitter/batch-unit"
 
 
 @functools.cache
@@ -51,15 +47,17 @@ def start() -> None:
 def work(
     unit: Mapping[str, Any], spec: Mapping[str, Any], key: str, out: str,
     share: tuple[int, int] | None = None, *, split: bool = False,
+    told: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Do one unit and write its record to its folder. Arguments and result are plain data.
 
     share : (k, n): of a unit of several tables only every n-th from the k-th; the record is left to the
         caller.
     split : do nothing where the unit holds several tables, but say how many.
+    told : called after each table with how much of the unit is done; what it raises ends the work.
 
     Returns ``failed``, and of a share the ``record`` and which tables it is of (``order``); or, where it is
-    to be split, ``tables``, their number.
+    to be split, ``tables``, their number, and the ``seconds`` that reading them took.
 
     What goes wrong with a table, or with one model of it, is in the record: only that part failed. OSError
     where the disk is full: then nothing else will work either.
@@ -69,22 +67,25 @@ def work(
     asked = batch_spec(spec)
     folder = Path(out) / TABLES / todo.name
     begun = time.monotonic()
-    (folder / RECORD).unlink(missing_ok=True)  # of an earlier attempt
+    (folder / records.RECORD).unlink(missing_ok=True)  # of an earlier attempt
     tables: list[dict[str, Any]] = []
     problem: dict[str, Any] | None = None
     order: list[int] = []
     try:
         opened = _opened(todo)
         if split and len(opened) > 1:
-            return {"tables": len(opened)}
+            return {"tables": len(opened), "seconds": time.monotonic() - begun}
         names = _names(todo, opened)
         for k in range(len(opened)) if share is None else range(share[0], len(opened), share[1]):
             place = folder if len(opened) == 1 else folder / names[k]
-            known = _known(place, key) if len(opened) > 1 else None
+            known = records.known(place, key) if len(opened) > 1 else None
             tables.append(known or _table(opened[k], names[k], place, asked, todo, Path(out)))
             order.append(k)
             if len(opened) > 1 and known is None:
-                write_document({"key": key, "table": tables[-1]}, place / TABLE)
+                write_document({"key": key, "table": tables[-1]}, place / records.TABLE)
+            told((k + 1) / len(opened))
+    except Cancelled:
+        raise
     except FitterError as error:
         problem = error.to_dict()
     except OSError:
@@ -95,23 +96,12 @@ def work(
             "code": "internal", "message": f"{type(error).__name__}: {error}", "file": todo.paths[0],
             "cause": "a fault of the program; the worker's output has the details", "remedy": "report it",
         }  # fmt: skip
-    record = record_of(todo, key, time.monotonic() - begun, tables, problem)
+    record = records.record_of(todo, key, time.monotonic() - begun, tables, problem)
     forget_when_many()
     if share is not None:
-        return {"failed": failed(record), "record": record, "order": order}
-    write_record(Path(out), record)
-    return {"failed": failed(record)}
-
-
-def _known(place: Path, key: str) -> dict[str, Any] | None:
-    """One of a unit's several tables, where it was done as asked now before the unit was stopped."""
-    path = place / TABLE
-    try:
-        document = read_document(path, "not-a-batch") if path.exists() else {}
-    except SpecError:
-        return None  # done again, which mends it
-    table = document.get("table")
-    return table if document.get("key") == key and isinstance(table, dict) and "best" in table else None
+        return {"failed": records.failed(record), "record": record, "order": order}
+    records.write_record(Path(out), record)
+    return {"failed": records.failed(record)}
 
 
 def count(unit: Unit) -> int:
@@ -120,37 +110,6 @@ def count(unit: Unit) -> int:
         return len(_opened(unit))
     except (FitterError, OSError):
         return 1
-
-
-def record_of(
-    unit: Unit, key: str, seconds: float | None = None, tables: Sequence[Mapping[str, Any]] = (),
-    error: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """What has become of a unit."""
-    return {
-        "kind": KIND, "key": key, "unit": unit.to_dict(), "seconds": seconds, "tables": list(tables),
-        "error": error,
-    }  # fmt: skip
-
-
-def write_record(out: Path, record: Mapping[str, Any]) -> None:
-    """Write the record into its unit's folder: the unit has ended."""
-    write_document(record, out / TABLES / record["unit"]["name"] / RECORD)
-
-
-def failed(record: Mapping[str, Any]) -> bool:
-    """Whether the unit, or all models of one of its tables, failed."""
-    return record["error"] is not None or any("best" not in table for table in record["tables"])
-
-
-def read_record(out: Path, name: str) -> dict[str, Any] | None:
-    """The record of the unit of that name; None where there is none that can be read."""
-    path = out / TABLES / name / RECORD
-    try:
-        record = dict(read_document(path, "not-a-batch")) if path.exists() else {}
-    except SpecError:
-        return None  # done again, which mends it
-    return record if record.get("kind") == KIND else None
 
 
 def _opened(unit: Unit) -> list[Table]:
