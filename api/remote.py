@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -14,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from api.client import Client, Document, ServiceFailed
+from api.fetching import ID, fetched
 from api.schemas import TableDocument
-from fitter.batch import SERVER, BatchSpec, Fetched
+from fitter.batch import SERVER
 from fitter.cli import reading
 from fitter.cli.results import fits_document, show_fit
 from fitter.cli.screen import Screen
@@ -30,13 +29,11 @@ from fitter.cli.verbs.posterior import posterior_asked, show_posterior
 from fitter.directions import vector_from_spherical
 from fitter.documents import FITS, file_stem, read_document, write_bytes, write_document
 from fitter.errors import SpecError
-from fitter.formats import read_options
 from fitter.quality import Check, Finding
 from fitter.spec import ModelSpec
 
 #: More incidences than this have no slices in the service's answer.
 MOST_SLICES = 16
-_ID = re.compile("[0-9a-f]{32}")
 _Run = Callable[[Client, argparse.Namespace, Screen], Outcome]
 
 
@@ -67,7 +64,7 @@ def _no(option: str) -> None:
 
 def _table(client: Client, given: argparse.Namespace) -> TableDocument:
     """The table that is meant: by its id on the service, else uploaded now."""
-    if _ID.fullmatch(given.table) and not Path(given.table).exists():
+    if ID.fullmatch(given.table) and not Path(given.table).exists():
         return client.table(given.table)
     return client.upload(given.table, **reading.reading_options(given).to_dict())
 
@@ -237,29 +234,10 @@ def _sample(client: Client, given: argparse.Namespace, screen: Screen) -> Outcom
 
 def _batch(client: Client, given: argparse.Namespace, screen: Screen) -> Outcome:
     """The work is done here; tables that are named by ids come from the service."""
-
-    def fetch(spec: BatchSpec, folder: Path) -> dict[str, Fetched]:
-        words = [word for word in spec.tables if word.startswith(SERVER)]
-        # All ids are known before the first table is fetched.
-        found = {word: client.table(word.removeprefix(SERVER)) for word in words}
-        names = [one.name for one in found.values()]
-        fetched: dict[str, Fetched] = {}
-        with screen.progress("fetching tables") as progress:
-            for k, (word, one) in enumerate(found.items()):
-                progress(k / len(found), one.name)
-                path = folder / one.id
-                if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != one.sha256:
-                    write_bytes(client.content(one.id), path)
-                alone = names.count(one.name) == 1
-                name = Path(one.name).stem if alone else f"{Path(one.name).stem}-{one.id[:8]}"
-                reading = {key: item for key, item in one.options.items() if key != "name"}
-                fetched[word] = Fetched(path, name, read_options(reading).to_dict())
-        return fetched
-
     given.tables = [
-        f"{SERVER}{one}" if _ID.fullmatch(one) and not Path(one).exists() else one for one in given.tables
+        f"{SERVER}{one}" if ID.fullmatch(one) and not Path(one).exists() else one for one in given.tables
     ]
-    return batch_verb.run(given, screen, fetch)
+    return batch_verb.run(given, screen, lambda spec, folder: fetched(client, spec, folder, screen))
 
 
 def _samples(array: NDArray[Any], headers: httpx.Headers) -> Any:
@@ -275,7 +253,7 @@ def _samples(array: NDArray[Any], headers: httpx.Headers) -> Any:
 
 def _fit_id(path: str, model: str | None) -> str:
     """The id, on the service, of the fit in a file that ``--server URL fit`` wrote; or that id itself."""
-    if _ID.fullmatch(path) and not Path(path).exists():
+    if ID.fullmatch(path) and not Path(path).exists():
         return path
     document = read_document(Path(path), "not-a-fit")
     parts: list[Any] = document.get("fits", []) if document.get("kind") == FITS else [document]

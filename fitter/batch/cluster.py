@@ -5,6 +5,7 @@ Through the scheduler go names, options and, of files that hold several tables, 
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections import deque
@@ -57,10 +58,12 @@ class _Task:
     share: tuple[int, int] | None = None
     parts: _Parts | None = None
 
-    @property
-    def name(self) -> str:
-        """The task's key on the scheduler."""
-        return f"batch-{self.key}" if self.share is None else f"batch-{self.key}-{self.share[0]}"
+    def name(self, folder: Path) -> str:
+        """The task's key on the scheduler, which does what has one key once: nothing that writes to another
+        folder, or does another share, may have it."""
+        place = hashlib.sha256(str(folder).encode()).hexdigest()[:8]
+        part = "" if self.share is None else "-{}-of-{}".format(*self.share)
+        return f"batch-{self.key}-{place}{part}"
 
 
 def ends(
@@ -116,7 +119,7 @@ def _submitted(
     for task in tasks:
         future = client.submit(
             working.work, task.unit.to_dict(), spec, task.key, str(folder), task.share,
-            split=task.share is None, key=task.name, pure=False,
+            split=task.share is None, key=task.name(folder), pure=False,
         )  # fmt: skip
         yield future, task
 

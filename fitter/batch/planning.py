@@ -6,6 +6,7 @@ import csv
 import glob
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -261,3 +262,16 @@ def _refuse_twins(units: Sequence[Unit]) -> None:
 def folder_name(name: str) -> str:
     """A name that every file system takes; longer than a table's may be, since it holds an archive's, too."""
     return file_stem(name, 120)
+
+
+def folder_names(items: Sequence[str], taken: str) -> list[str]:
+    """Names of folders beside a file called ``taken``, no two alike where upper and lower case are one."""
+    stems = [folder_name(item) for item in items]
+    often = Counter([taken, *(stem.casefold() for stem in stems)])
+    found: list[str] = []
+    for k, stem in enumerate(stems):
+        name = stem
+        while often[name.casefold()] > (name == stem):
+            name = f"{name}-{k}"
+        found.append(name)
+    return found

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitter.batch import records
-from fitter.batch.planning import TABLES, Unit, folder_name
+from fitter.batch.planning import TABLES, Unit, folder_names
 from fitter.batch.specification import BatchSpec, batch_spec
 from fitter.documents import write_document
 from fitter.errors import FitterError
@@ -137,8 +137,8 @@ def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
     """Of the tables' folders below the unit's: their items' names where there are several."""
     if len(tables) == 1:
         return [unit.name]
-    items = [folder_name(str(table.metadata.provenance.get("item", k))) for k, table in enumerate(tables)]
-    return [item if items.count(item) == 1 else f"{item}-{k}" for k, item in enumerate(items)]
+    items = [str(table.metadata.provenance.get("item", k)) for k, table in enumerate(tables)]
+    return folder_names(items, records.RECORD)
 
 
 def _table(table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path) -> dict[str, Any]:

@@ -218,3 +218,30 @@ def test_a_batch_of_a_service_s_tables(
     assert main(["batch", str(spec), "--out", str(tmp_path / "none")]) == 2
     assert "--server" in capsys.readouterr().err
     assert not list((tmp_path / "none").iterdir())
+
+
+def test_what_a_service_says_is_not_trusted_with_files(
+    service: Client, address: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Other bytes than those uploaded, ids that are paths, names that differ in what would be a suffix."""
+    ids = [service.upload(file, name=f"gold 1.{k}").id for k in (1, 2)]
+    out = tmp_path / "deep" / "out"
+    words = ["--server", address, "batch", "--model", "lambert", "--no-report", "--workers", "1", "--out"]
+    words.append(str(out))
+
+    told = Client.table
+    monkeypatch.setattr(
+        Client, "table", lambda self, id: told(self, id).model_copy(update={"id": f"../../{id}"})
+    )
+    with monkeypatch.context() as changed:
+        changed.setattr(Client, "content", lambda self, id: b"other bytes")
+        assert main([*words, *ids]) == 1
+    assert "other bytes came" in capsys.readouterr().err
+    assert main([*words, *ids]) == 0
+    assert {path.name for path in (out / "fetched").iterdir()} == set(ids)
+    assert {path.name for path in (out / "tables").iterdir()} == {f"gold_1-{id[:8]}" for id in ids}
+    assert [path.name for path in tmp_path.iterdir()] == ["deep"]
+
+    assert main([*words, f"server:../fits/{ids[0]}"]) == 2
+    assert "32 hexadecimal digits" in capsys.readouterr().err

@@ -239,6 +239,24 @@ def test_tables_are_found_again_wherever_they_came_from(tmp_path: Path, write_ta
         assert opened.table.hash == fit.table["hash"], path
 
 
+def test_items_of_any_name_have_folders_of_their_own(tmp_path: Path, write_table: Write):
+    """Also one named like the file, and names that only differ in case or are taken."""
+    items = ("paint", "a", "A", "a-1", "unit.json")
+    rows = write_table(tmp_path / "t.csv", 0.3).read_text().splitlines()
+    text = [f"{rows[0]},item", *(f"{row},{item}" for item in items for row in rows[1:])]
+    (tmp_path / "paint.csv").write_text("\n".join([*text, ""]))
+    spec = {"tables": [str(tmp_path / "paint.csv")], "models": ["lambert"], "report": False}
+    out = tmp_path / "out"
+    assert run(plan(batch_spec(spec)), out, workers=1).failed == 0
+    assert [row["table"] for row in summary_rows(out)] == [
+        "paint/paint", "paint/a-1-1", "paint/A-2", "paint/a-1", "paint/unit.json-4",
+    ]  # fmt: skip
+    for item, row in zip(items, summary_rows(out), strict=True):
+        path = out / row["folder"] / "lambert.json"
+        opened = table_of(fitter.load_fit(path).table, None, ReadOptions(), result=path)
+        assert opened.table.metadata.provenance["item"] == item
+
+
 def test_a_member_that_claims_too_much_fails_alone(
     tmp_path: Path, write_table: Write, monkeypatch: pytest.MonkeyPatch
 ):

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from fitter.batch import batch_spec, plan, run
+from fitter.batch import batch_spec, cluster, plan, run
 from fitter.progress import Cancelled
 from tests.batch.conftest import Write, rows_without_times
 
@@ -70,6 +70,33 @@ def test_tables_of_one_file_are_shared_out(tmp_path: Path, write_table: Write) -
     rows = rows_without_times(tmp_path / "two")
     assert [row["table"] for row in rows] == [f"all/s{k}" for k in range(10)]
     assert rows == rows_without_times(tmp_path / "one")
+
+
+class _Recorder:
+    """A client that notes the keys of what it is given to do."""
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+
+    def submit(self, *_: Any, key: str, **__: Any) -> str:
+        self.keys.append(key)
+        return key
+
+
+def test_tasks_of_one_key_are_one_task(tmp_path: Path, write_table: Write) -> None:
+    """A scheduler does what has one key once, whoever asks: the same table for another folder, or in other
+    shares, is another task."""
+    table = str(write_table(tmp_path / "t.csv", 0.3))
+    what = plan(batch_spec({"tables": [table], "models": ["lambert"], "report": False}))
+    (unit,), key = what.units, what.units[0].key(what.work)
+    keys: list[list[str]] = []
+    for folder in ("a", "a", "b"):
+        client: Any = _Recorder()
+        tasks = [cluster._Task(unit, key, share) for share in (None, (0, 2), (1, 2), (0, 3))]
+        list(cluster._submitted(client, tasks, {}, tmp_path / folder))
+        keys.append(client.keys)
+    assert keys[0] == keys[1]
+    assert len({*keys[0], *keys[2]}) == 8
 
 
 def test_one_worker_added_and_one_killed(tmp_path: Path, write_table: Write) -> None:
