@@ -75,11 +75,12 @@ def work(
         opened = _opened(todo)
         if split and len(opened) > 1:
             return {"tables": len(opened), "seconds": time.monotonic() - begun}
-        names = _names(todo, opened)
+        items = [str(table.metadata.provenance.get("item", k)) for k, table in enumerate(opened)]
+        names = folder_names(items, records.RECORD)
         for k in range(len(opened)) if share is None else range(share[0], len(opened), share[1]):
             place = folder if len(opened) == 1 else folder / names[k]
             known = records.known(place, key) if len(opened) > 1 else None
-            tables.append(known or _table(opened[k], names[k], place, asked, todo, Path(out)))
+            tables.append(known or _table(opened[k], place, asked, todo, Path(out)))
             order.append(k)
             if len(opened) > 1 and known is None:
                 write_document({"key": key, "table": tables[-1]}, place / records.TABLE)
@@ -133,15 +134,7 @@ def _opened(unit: Unit) -> list[Table]:
         return load_all(archives.unpacked(archive, content, members[0]), **options)
 
 
-def _names(unit: Unit, tables: Sequence[Table]) -> list[str]:
-    """Of the tables' folders below the unit's: their items' names where there are several."""
-    if len(tables) == 1:
-        return [unit.name]
-    items = [str(table.metadata.provenance.get("item", k)) for k, table in enumerate(tables)]
-    return folder_names(items, records.RECORD)
-
-
-def _table(table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, out: Path) -> dict[str, Any]:
+def _table(table: Table, place: Path, spec: BatchSpec, unit: Unit, out: Path) -> dict[str, Any]:
     """Fit one table; what the summary says of it. Files of an earlier attempt go first."""
     from fitter.batch.pictures import draw
     from fitter.fitting.result import best
@@ -149,9 +142,10 @@ def _table(table: Table, name: str, place: Path, spec: BatchSpec, unit: Unit, ou
     begun = time.monotonic()
     if place.exists():
         shutil.rmtree(place)
-    source = _source(table, unit, alone=place.name == unit.name)
+    name = place.relative_to(out / TABLES).as_posix()
+    source = _source(table, unit, alone=name == unit.name)
     described: dict[str, Any] = {
-        "table": unit.name if name == unit.name else f"{unit.name}/{name}",
+        "table": name,
         "folder": str(place.relative_to(out)), "path": unit.paths[0], "member": unit.member,
         "format": table.metadata.source_format, "sha256": table.metadata.sha256, "hash": table.hash,
         "samples": len(table), "usable": table.usable, "channels": [c.name for c in table.channels],
