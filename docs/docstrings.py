@@ -56,6 +56,19 @@ def escaped(line: str) -> str:
     return "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in parts)
 
 
+def readable(
+    _app: Sphinx,
+    _what: str,
+    _name: str,
+    _object: Any,
+    _options: Any,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str | None, str | None]:
+    """Signatures of dataclasses, whose made defaults ("<factory>") are no Python that Sphinx could set."""
+    return re.sub(r"<[\w. ]+>", "...", signature) if signature else signature, returns
+
+
 def exists(path: str) -> bool:
     """Whether a dotted path can be imported."""
     parts = path.split(".")
@@ -88,5 +101,6 @@ def plain(_app: Sphinx, _env: Any, node: Any, text: nodes.Element) -> nodes.Elem
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", reformat)
+    app.connect("autodoc-process-signature", readable)
     app.connect("missing-reference", plain)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from api import view_schemas as schemas
 from api.access import Here, Mine
 from api.routes import problems
 from api.routes.fits import fit_row, with_table
 from api.rows import TableRow
+from api.schemas import views as schemas
 from fitter.documents import dumps
 from fitter.fitting import FitResult
 from fitter.report.clean import clean

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query, Response
 
-from api import view_schemas as schemas
 from api.access import Here, Mine
 from api.routes import problems
 from api.rows import TableRow
+from api.schemas import views as schemas
 from api.tables import Opened
 from fitter.documents import dumps
 from fitter.views import in_plane, lobe

@@ -125,8 +125,8 @@ def tests_of(room: str, stem: str) -> list[str]:
     return sorted(files, key=lambda file: (f"test_{stem}.py" not in file, "test_oracles" not in file))
 
 
-def passes(place: Path, tests: Sequence[str]) -> bool:
-    """Whether the tests pass in a copy of the project. Raises RuntimeError where there are none."""
+def failure(place: Path, tests: Sequence[str]) -> str | None:
+    """What the tests say in a copy of the project where one of them fails, None where all pass."""
     environment = {
         **os.environ, "PYTHONPATH": str(place), "OPENBLAS_NUM_THREADS": "1",
         "JAX_COMPILATION_CACHE_DIR": str(place.parent / "programs"),
@@ -134,12 +134,14 @@ def passes(place: Path, tests: Sequence[str]) -> bool:
     }  # fmt: skip
     words = [sys.executable, "-m", "pytest", "-x", "-n", "0", "--hypothesis-seed=0", *tests]
     try:
-        ran = subprocess.run(words, cwd=place, env=environment, capture_output=True, timeout=LONGEST)
+        ran = subprocess.run(
+            words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST
+        )
     except subprocess.TimeoutExpired:
-        return False
+        return f"no end within {LONGEST:g} s"
     if ran.returncode == 5:
         raise RuntimeError(f"no tests among {tests}")
-    return ran.returncode == 0
+    return ran.stdout[-2000:] if ran.returncode else None
 
 
 def _copies(folder: Path) -> Iterator[Path]:
@@ -148,7 +150,7 @@ def _copies(folder: Path) -> Iterator[Path]:
         place = folder / "project"
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        for name in ("fitter", "api", "tests", "data"):
+        for name in ("fitter", "api", "tests", "data", "docs"):
             shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(ROOT / "pyproject.toml", place)
         yield place
@@ -162,12 +164,12 @@ def judge(room: str, share: float, seed: int) -> Outcome:
     with tempfile.TemporaryDirectory() as name:
         copies = _copies(Path(name))
         # Tests that fail anyway see everything; and the programs they share are compiled by then.
-        if not passes(next(copies), tests_of(room, "")):
-            raise RuntimeError(f"the tests of {room} fail without any fault")
+        if (why := failure(next(copies), tests_of(room, ""))) is not None:
+            raise RuntimeError(f"the tests of {room} fail without any fault:\n{why}")
         for one in drawn:
             place = next(copies)
             (place / one.path).write_text(one.source())
-            if passes(place, tests_of(room, Path(one.path).stem)):
+            if failure(place, tests_of(room, Path(one.path).stem)) is None:
                 missed.append(one)
                 print(f"mutants: missed {one.path}:{one.line} {one.change}", file=sys.stderr, flush=True)
     seen = len(drawn) - len(missed)

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from api.schemas import TableEvaluationDocument
+from api.schemas.directions import TableEvaluationDocument
 
 
 class SliceDocument(TableEvaluationDocument):
