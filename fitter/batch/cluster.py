@@ -32,7 +32,7 @@ _LOOK_EVERY, _PATIENCE = 0.5, 10.0
 _READING = 10.0
 #: A worker has one core: more threads than that only stand in each other's way.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-_XLA = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
+_XLA_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1"
 
 
 @dataclass
@@ -203,14 +203,13 @@ def client(workers: int, scheduler: str | None) -> Generator[Client]:
         with found:
             yield found
         return
-    # What this process was told of the compiler holds for the workers, too: they find the same numbers.
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()
+    # What the environment says to XLA stands, or workers would compile other programs than this process does.
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {_XLA_ONE_THREAD}".strip()
     with (
         tempfile.TemporaryDirectory(prefix="brdf-batch-") as place,
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-            local_directory=place, env={**_ONE_THREAD, "XLA_FLAGS": flags},
-            silence_logs=50,
+            local_directory=place, env=_ONE_THREAD | {"XLA_FLAGS": flags}, silence_logs=50,
         ) as own,
         Client(own, set_as_default=False) as found,
     ):  # fmt: skip
