@@ -7,7 +7,7 @@ WORKERS ?= auto
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint docs bench evidence serve image-check lock clean
+.PHONY: help install demo test coverage lint docs bench evidence serve image-check lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -28,6 +28,9 @@ demo: .venv/.installed ## fit a bundled table with all models and write demo/rep
 # Each core has a test process already: more threads of the linear algebra only stand in each other's way.
 test: .venv/.installed ## run the tests
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
+
+coverage: .venv/.installed ## run the tests and count the branches they take, into build/coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --cov --cov-report=html:build/coverage --cov-report=term:skip-covered $(ARGS)
 
 lint: .venv/.installed ## check style and types
 	$(BIN)/ruff check .
