@@ -28,6 +28,10 @@ __all__ = [
 Distribution = Beckmann | GGX | Blinn | Gaussian
 
 
+#: Those with a roughness, which only stretches them, by the names that specifications have for them.
+SHAPE_INVARIANT = {"ggx": GGX, "beckmann": Beckmann}
+
+
 @runtime_checkable
 class NDF(Protocol):
     """A distribution of microfacet normals."""
@@ -68,8 +72,7 @@ def of(spec: ModelSpec, values: Mapping[str, Array]) -> Distribution:
         return Blinn(values["n"])
     if spec.ndf == "gaussian":
         return Gaussian(values["s"])
-    kind = GGX if spec.ndf == "ggx" else Beckmann
-    return kind(roughness.of(spec.anisotropic, values))
+    return SHAPE_INVARIANT[spec.ndf or "beckmann"](roughness.of(spec.anisotropic, values))
 
 
 def each(spec: ModelSpec, values: Mapping[str, Array]) -> list[Distribution]:

@@ -31,8 +31,6 @@ from fitter.models.roughness import Isotropic
 #: Nodes: of the polynomial, in azimuth (each half), inside and outside the disc, of the average.
 COSINES, AZIMUTHS, INSIDE, OUTSIDE, AVERAGE = 40, 20, 28, 20, 48
 
-_KINDS = {"ggx": _ndf.GGX, "beckmann": _ndf.Beckmann}
-
 
 class Loss(NamedTuple):
     """1 - E(cos) as a polynomial, for one roughness () or one per channel (C,)."""
@@ -97,7 +95,7 @@ def _cosine(kind: str, alpha: Array, x: Array) -> tuple[Array, Array]:
 def _integral(kind: str, alpha: Array, c: Array) -> Array:
     """1 - E at one cosine (), 0 < c < 1."""
     s = jnp.sqrt((1.0 - c) * (1.0 + c))
-    normals = _KINDS[kind](Isotropic(alpha))
+    normals = _ndf.SHAPE_INVARIANT[kind](Isotropic(alpha))
     hidden = normals.lambda_cos(s, jnp.zeros_like(s), c)
     x, w = slopes.gauss(AZIMUTHS, alpha)
     # The azimuth's distance from pi/2 on a grid graded to the angle above the horizon.

@@ -13,6 +13,8 @@ def density(kind: str, rho2: Array) -> Array:
     """Density of slopes in units of the roughness, rho^2 their square: alpha^2 D cos^4 of the NDF."""
     if kind == "beckmann":
         return jnp.exp(-rho2) / math.pi
+    if kind != "ggx":
+        raise ValueError(f"the slopes of {kind!r} are not known")
     inverse = 1.0 / (1.0 + rho2)
     return inverse * inverse / math.pi
 

@@ -11,6 +11,7 @@ from typing import cast
 import jax.numpy as jnp
 import numpy as np
 
+from fitter.errors import SpecError
 from fitter.export.source import parts
 from fitter.export.source.formula import Argument, derived
 from fitter.models import ReflectanceModel, ndf
@@ -42,6 +43,11 @@ def density(model: ReflectanceModel) -> list[str]:
             *tangent, "theta = atan2(sqrt(tan2), 1.0)", note, "root = exp(-0.5*theta*theta/(s*s))",
             "lobe = root * (root * scale * v)",
         ]  # fmt: skip
+    if spec.ndf != "beckmann":
+        raise SpecError(
+            f"there is no source of the distribution {spec.ndf!r}", code="export-no-source", parameter="to",
+            remedy="export the model as a table",
+        )  # fmt: skip
     return [
         *parts.slopes(spec.anisotropic), *tangent, note, "root = exp(-0.5*slope2)",
         "lobe = root * (root * ((1.0 + tan2)*(1.0 + tan2) / (PI*area)) * v)",
