@@ -46,6 +46,19 @@ def specs() -> Iterator[ModelSpec]:
             yield ModelSpec.parse("torrance_sparrow:ggx:smith")
 
 
+def measured_again(document: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """The document with the self-test of these models only, each with the commit that it was measured at."""
+    from tests.bench import machine
+
+    wanted = {spec.name: spec for spec in specs()}
+    if unknown := [name for name in names if name not in wanted]:
+        raise SystemExit(f"not on the page: {', '.join(unknown)}; it has {', '.join(wanted)}")
+    commit = machine.describe()["commit"]
+    by_name = {model["name"]: model for model in document["models"]}
+    by_name |= {name: {**check.check(wanted[name]), "commit": commit} for name in names}
+    return {**document, "models": [by_name[name] for name in wanted if name in by_name]}
+
+
 def measured() -> dict[str, Any]:
     """The self-test of every model on the page, and the machine."""
     from tests.bench import machine
@@ -60,6 +73,8 @@ def measured() -> dict[str, Any]:
 def page(document: Mapping[str, Any]) -> str:
     """docs/models.md for a document of figures."""
     by_name = {model["name"]: model for model in document["models"]}
+    if missing := [spec.name for spec in specs() if spec.name not in by_name]:
+        raise SystemExit(f"no figures of {', '.join(missing)}: run with --measure {' '.join(missing)}")
     machine = document["machine"]
     lines = [
         HEAD,
@@ -142,9 +157,14 @@ def _section(spec: ModelSpec) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.docs.models_page", description=__doc__)
-    parser.add_argument("--measure", action="store_true", help="measure the figures anew")
-    if parser.parse_args().measure:
-        FIGURES.write_text(json.dumps(measured(), indent=1) + "\n")
+    parser.add_argument(
+        "--measure", nargs="*", metavar="NAME",
+        help="measure the figures of these models anew, or of all: on a machine that does nothing else",
+    )  # fmt: skip
+    names = parser.parse_args().measure
+    if names is not None:
+        found = measured_again(json.loads(FIGURES.read_text()), names) if names else measured()
+        FIGURES.write_text(json.dumps(found, indent=1) + "\n")
     PAGE.write_text(page(json.loads(FIGURES.read_text())))
 
 
