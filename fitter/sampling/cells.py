@@ -8,21 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.envelope import (
-    Candidates,
-    Envelope,
-    Method,
-    SliceInfo,
-    empty_slice,
-    no_inversion,
-    violated,
-)
+from fitter.sampling.envelope import Envelope, Method, SliceInfo, empty_slice, no_inversion
 from fitter.sampling.majorants import Field
 from fitter.sampling.refining import worth_halving
 
@@ -99,10 +90,9 @@ class CellEnvelope:
             clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
         keep = majorant > 0
         self._sides = tuple(rectangles[keep].T)
-        self._columns = tuple(np.ascontiguousarray(column) for column in field.columns(rectangles[keep]))
         self._majorant = majorant[keep]
         envelope = self._majorant * field.measures(rectangles[keep])
-        self._alias = AliasTable(envelope)
+        self.kernel = field.kernel(AliasTable(envelope), rectangles[keep], self._majorant, integral)
         self.info = SliceInfo(
             integral=integral, integral_error=error, clamped_share=clamped, coverage=min(disk / np.pi, 1.0),
             blind=max(1.0 - sphere / (2 * np.pi), 0.0), cells=int(keep.sum()),
@@ -121,22 +111,6 @@ class CellEnvelope:
             tall = np.ones(int(rim.sum()), bool)
             rectangles = _halves(_halves(rectangles[rim], tall), ~np.concatenate([tall, tall]))
         return np.concatenate([*whole, rectangles])
-
-    def draw(self, rng: np.random.Generator, m: int) -> Candidates:
-        """``m`` candidates in the sample's frame."""
-        cell = self._alias.choose(rng.random(m))
-        u, v, chance = rng.random((3, m))
-        found = self._field.draw(tuple(column.take(cell) for column in self._columns), u, v)
-        majorant = self._majorant.take(cell)
-        if np.any(found.field > majorant):
-            raise violated()
-        chance *= majorant
-        accepted = chance < found.field  # False where the field is NaN: not measured there
-        return Candidates(found.wo, accepted, found.density, found.place)
-
-    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
-        """(m, C) f+ of every channel at candidates' places."""
-        return np.nan_to_num(self._field.channels(place), nan=0.0)
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""

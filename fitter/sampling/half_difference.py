@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.sampling.alias import AliasTable
 from fitter.sampling.axes import Place, Span, corners, multilinear
+from fitter.sampling.axes import packed as packed_axes
 from fitter.sampling.curvature import gain
-from fitter.sampling.majorants import ROUNDING, Point
+from fitter.sampling.drawing import Kernel
+from fitter.sampling.majorants import ROUNDING
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
 if TYPE_CHECKING:
@@ -89,28 +93,20 @@ class HalfDifferenceField:
         theta0, theta1, phi0, phi1 = cells.T
         return theta1 - theta0 >= np.sin(theta1) * (phi1 - phi0)
 
-    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+    def kernel(self, alias: AliasTable, cells: FloatArray, majorant: FloatArray, integral: float) -> Kernel:
+        from fitter.kernels import half_difference
+
         theta0, theta1, phi0, phi1 = cells.T
         change = np.sin(theta1 - theta0) * np.sin(theta1 + theta0)
-        return np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0.copy(), phi1 - phi0
-
-    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
-        sin2, cos2, change, phi, width = columns
-        # sin^2 and cos^2 drawn together: either alone would lose half the other's digits.
-        change *= u
-        sin2 += change
-        cos2 -= change
-        flat, z = np.sqrt(sin2), np.sqrt(np.maximum(cos2, 0.0))
-        v *= width
-        v += phi
-        cosine, sine = directions.cosine_and_sine(v)
-        x, y = flat * cosine, flat * sine
-        places = self._around(x, y, z)
-        found = self._blend(places, self._shared.weighted.take)
-        if self._rotation != 0:
-            turn = np.cos(self._rotation), np.sin(self._rotation)
-            x, y = turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y
-        return Point(found, (x, y, z), found, packed(places))
+        rows = np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0, phi1 - phi0, majorant
+        return Kernel(
+            partial(
+                half_difference.fill, *alias.boxes, np.stack(rows, axis=1),
+                *packed_axes(self._table.axes), (float(self._wi[0]), float(self._wi[2])),
+                (float(np.cos(self._rotation)), float(np.sin(self._rotation))), self._shared.weighted,
+                self._table.value, integral,
+            )
+        )  # fmt: skip
 
     def directions(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a, b + self._rotation)

@@ -14,6 +14,7 @@ from fitter import directions
 from fitter.errors import FitError, SpecError, TableError
 from fitter.sampling.envelope import Envelope, JointEnvelope, JointInfo, Method, SliceInfo
 from fitter.sampling.interpolant import interpolant
+from fitter.sampling.proposing import Proposing
 from fitter.sampling.rejection import BLOCK, Drawn, blocks
 from fitter.sampling.samples import Samples
 
@@ -202,8 +203,8 @@ class TableSampler:
         """Parts of ``n`` draws. Raises FitError once ``most`` candidates were not enough."""
         tried = hits = made = 0
         count, each = len(self._weights), int(BLOCK / _HOPELESS)
-        integral = envelope.info.integral
-        for drawn in blocks(envelope, integral, n, sequence, count, most, each, at_once, width):
+        source = envelope if isinstance(envelope, Proposing) else envelope.kernel
+        for drawn in blocks(source, n, sequence, count, most, each, at_once, width):
             tried, hits, made = tried + drawn.tried, hits + drawn.hits, made + drawn.filled
             if drawn.filled < len(drawn.wo):
                 raise FitError(
