@@ -88,7 +88,7 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    cells : (K, 5) u and its width, v and its height, majorant. data, ndf : images, flat, channels (C H W,), whose
+    cells : (K, 5) u and its width, v and its height, majorant. data, ndf : images, flat, channels (H W C,), whose
     product times ``factor`` is f+, or f+ cos(theta_o) where ``cosined``. wi : on the stored copy of the surface; sign :
     what takes a component back to the sample; turn : what the half vector's azimuth counts from. every : keep
     rejected candidates, too, with a pdf of -1.
@@ -145,10 +145,12 @@ def fill(
                 a, x, y = corner(height, width, b[_S * CHUNK + i], b[_T * CHUNK + i])
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
                 mine = b[_LOBE * CHUNK + i] * integral / b[_DENSITY * CHUNK + i]
-                for c in range(weight.shape[1]):
-                    low = channels[a] + x * (channels[a + 1] - channels[a])
-                    high = channels[a + width] + x * (channels[a + width + 1] - channels[a + width])
+                count = weight.shape[1]
+                for c in range(count):
+                    j = a * count + c
+                    low = channels[j] + x * (channels[j + count] - channels[j])
+                    j += width * count
+                    high = channels[j] + x * (channels[j + count] - channels[j])
                     weight[k, c] = (low + y * (high - low)) * mine
-                    a += len(data)
     state[0], state[1], state[2], state[3] = r
     return tried, filled

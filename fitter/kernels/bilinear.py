@@ -101,7 +101,9 @@ def invert(b: FloatArray, m: int) -> None:
             )
             wanted = b[U * CHUNK + i] + 2.0
             sine, cosine = b[_SINE2 * CHUNK + i], b[_COSINE2 * CHUNK + i]
-            b[U * CHUNK + i] = halved(wanted * b[_WHOLE * CHUNK + i], f, g, sine, cosine, b[_HEIGHT * CHUNK + i])
+            b[U * CHUNK + i] = halved(
+                wanted * b[_WHOLE * CHUNK + i], f, g, sine, cosine, b[_HEIGHT * CHUNK + i]
+            )
 
 
 @part

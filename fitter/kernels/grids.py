@@ -10,6 +10,7 @@ from fitter.kernels.angles import arc
 
 FloatArray = NDArray[np.float64]
 
+
 @part
 def located(
     nodes: FloatArray,

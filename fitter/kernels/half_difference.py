@@ -14,13 +14,18 @@ FloatArray = NDArray[np.float64]
 
 # Rows of a chunk: the cell, the direction and pdf, then fractions on the three axes, and whether it was measured.
 _SIN2, _COS2, _CHANGE, _PHI, _WIDTH, _MAJORANT = 3, 4, 5, 6, 7, 8
-_OUT, _AT, _DENSITY = 9, 13, 17
-_ROWS = 18
+OUT, _AT, DENSITY = 9, 13, 17
+ROWS = 18
 
 
 @part
 def placed(
-    nodes: FloatArray, first: NDArray[np.int64], about: FloatArray, where: NDArray[np.int64], b: FloatArray, m: int
+    nodes: FloatArray,
+    first: NDArray[np.int64],
+    about: FloatArray,
+    where: NDArray[np.int64],
+    b: FloatArray,
+    m: int,
 ) -> None:
     """Angles in the rows from ``_AT`` on replaced by fractions on their axes; into the rows of ``where`` the flat
     index of the lowest corner, and strides to the ones beside."""
@@ -38,11 +43,11 @@ def placed(
 
 @part
 def angles(about: FloatArray, start: float, wi: tuple[float, float], b: FloatArray, m: int) -> None:
-    """Half and difference angles, into the rows from ``_AT`` on, of the directions in the rows from ``_OUT`` on."""
+    """Half and difference angles, into the rows from ``_AT`` on, of the directions in the rows from ``OUT`` on."""
     period = about[2, 5] if about[2, 5] > 0 else 2 * np.pi
     for i in range(m):
         theta_h, theta_d, phi_d = half_difference(
-            wi[0], 0.0, wi[1], b[_OUT * CHUNK + i], b[(_OUT + 1) * CHUNK + i], b[(_OUT + 2) * CHUNK + i]
+            wi[0], 0.0, wi[1], b[OUT * CHUNK + i], b[(OUT + 1) * CHUNK + i], b[(OUT + 2) * CHUNK + i]
         )
         phi_d -= start
         b[_AT * CHUNK + i], b[(_AT + 1) * CHUNK + i] = theta_h, theta_d
@@ -105,7 +110,7 @@ def fill(
     """
     r = (state[0], state[1], state[2], state[3])
     over = 1.0 / integral
-    b, items, taken = np.empty(_ROWS * CHUNK), np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
+    b, items, taken = np.empty(ROWS * CHUNK), np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
     where = np.empty(6 * CHUNK, np.int64)
     tried = filled = 0
     while filled < len(pdf) and tried < budget:
@@ -116,22 +121,22 @@ def fill(
             change = b[U * CHUNK + i] * b[_CHANGE * CHUNK + i]
             flat, z = np.sqrt(b[_SIN2 * CHUNK + i] + change), np.sqrt(max(b[_COS2 * CHUNK + i] - change, 0.0))
             c, s = cosine_and_sine(b[_PHI * CHUNK + i] + b[V * CHUNK + i] * b[_WIDTH * CHUNK + i])
-            b[_OUT * CHUNK + i], b[(_OUT + 1) * CHUNK + i], b[(_OUT + 2) * CHUNK + i] = flat * c, flat * s, z
+            b[OUT * CHUNK + i], b[(OUT + 1) * CHUNK + i], b[(OUT + 2) * CHUNK + i] = flat * c, flat * s, z
         angles(about, nodes[2, 0], wi, b, m)
         placed(nodes, first, about, where, b, m)
         for i in range(m):
-            b[_DENSITY * CHUNK + i] = trilinear(table, where, b, i)
+            b[DENSITY * CHUNK + i] = trilinear(table, where, b, i)
         for i in range(m):
-            x, y, density = b[_OUT * CHUNK + i], b[(_OUT + 1) * CHUNK + i], b[_DENSITY * CHUNK + i]
+            x, y, density = b[OUT * CHUNK + i], b[(OUT + 1) * CHUNK + i], b[DENSITY * CHUNK + i]
             majorant = b[_MAJORANT * CHUNK + i]
             # False where it is NaN: not measured there.
             accepted = b[CHANCE * CHUNK + i] * majorant < density
-            found = density * b[(_OUT + 2) * CHUNK + i] * over if accepted else REJECTED
-            b[(_OUT + 3) * CHUNK + i] = ABOVE if density > majorant else found
-            b[_OUT * CHUNK + i] = turn[0] * x - turn[1] * y
-            b[(_OUT + 1) * CHUNK + i] = turn[1] * x + turn[0] * y
+            found = density * b[(OUT + 2) * CHUNK + i] * over if accepted else REJECTED
+            b[(OUT + 3) * CHUNK + i] = ABOVE if density > majorant else found
+            b[OUT * CHUNK + i] = turn[0] * x - turn[1] * y
+            b[(OUT + 1) * CHUNK + i] = turn[1] * x + turn[0] * y
         before = filled
-        used, filled = collected(b, _OUT, m, every, wo, pdf, taken, filled)
+        used, filled = collected(b, OUT, m, every, wo, pdf, taken, filled)
         if used < 0:
             return -1, filled
         tried += used
@@ -139,7 +144,7 @@ def fill(
             for k in range(before, filled):
                 i = taken[k - before]
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
-                factor = integral / b[_DENSITY * CHUNK + i]
+                factor = integral / b[DENSITY * CHUNK + i]
                 for c in range(weight.shape[1]):
                     weight[k, c] = channel(channels, c, where, b, i) * factor
     state[0], state[1], state[2], state[3] = r

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from fitter import directions
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
+from fitter.parts import in_parts
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.cells import ChartSlice
 from fitter.sampling.curvature import gain_of_image
 from fitter.sampling.drawing import Kernel
 from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
-from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
 from fitter.sampling.maxima import BilinearMaximum
 from fitter.table import Quantity
 
@@ -142,15 +143,38 @@ class AdaptiveField:
         from fitter.kernels import adaptive
 
         u0, u1, v0, v1 = cells.T
+        rows = np.stack([u0, u1 - u0, v0, v1 - v0, majorant], axis=1)
+        channels = self._channels.reshape(len(self._channels), -1).T.reshape(-1)
+        clamped, lobes = self._clamped.reshape(-1), self._ndf.reshape(-1)
         return Kernel(
             partial(
-                adaptive.fill, *alias.boxes, np.stack([u0, u1 - u0, v0, v1 - v0, majorant], axis=1),
-                *self._warp.packed, self._clamped.reshape(-1), self._clamped.shape, self._channels.reshape(-1),
-                self._ndf.reshape(-1), self._ndf.shape, self._factor,
-                self._quantity == "ccbrdf", tuple(map(float, self._wi)), tuple(map(float, self._sign)),
-                float(self._turn), integral,
+                adaptive.fill, *alias.boxes, rows, *self._warp.packed, clamped, self._clamped.shape, channels,
+                lobes, self._ndf.shape, self._factor, self._quantity == "ccbrdf", self._incidence,
+                tuple(map(float, self._sign)), float(self._turn), integral,
             )
         )  # fmt: skip
+
+    def integrals(
+        self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        from fitter.kernels.adaptive_cells import integrals
+
+        data = self._clamped if clamped else self._raw
+        found, known = np.empty(len(cells)), np.empty(len(cells), np.int64)
+
+        def some(part: slice) -> None:
+            integrals(
+                cells[part], x, share, *self._warp.packed, data.reshape(-1), data.shape,
+                self._ndf.reshape(-1), self._ndf.shape, self._factor, self._quantity == "ccbrdf",
+                self._incidence, float(self._turn), found[part], known[part],
+            )  # fmt: skip
+
+        in_parts(some, len(cells), AT_ONCE, MANY)
+        return found, known
+
+    @property
+    def _incidence(self) -> tuple[float, ...]:
+        return tuple(map(float, self._wi))
 
     @property
     def _factor(self) -> float:

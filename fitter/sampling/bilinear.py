@@ -144,10 +144,11 @@ class BilinearEnvelope:
                 *field.powers(rectangles[keep]), 1 + ROUNDING, self._exact, integral,
             )
         )  # fmt: skip
+        self.integral, self.acceptance = integral, integral / float(envelope.sum())
         self.info = SliceInfo(
             integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
             blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
-            acceptance=integral / float(envelope.sum()), extrapolated=field.extrapolated, method=method,
+            acceptance=self.acceptance, extrapolated=field.extrapolated, method=method,
         )  # fmt: skip
 
     def energy_error(self) -> float:

@@ -64,12 +64,23 @@ class JointEnvelope(Drawable, Protocol):
 
     info: JointInfo
 
+    @property
+    def integral(self) -> float:
+        """Of what the draws follow."""
+        ...
+
 
 class Envelope(Protocol):
     """Draws for one incidence."""
 
-    info: SliceInfo
+    integral: float
+    acceptance: float
     kernel: Kernel
+
+    @property
+    def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        ...
 
     def energy_error(self) -> float:
         """That of :class:`SliceInfo`, estimated when it is asked for."""

@@ -81,7 +81,7 @@ class BlendedJoint(Proposing):
         self._pieces, self._members, self._evaluate, self._weights = pieces, members, evaluate, weights
         self._moved, self._isotropic = moved, isotropic
         self._member = np.array([piece.member for piece in pieces])
-        of = np.array([one.info.integral / one.info.acceptance for one in members])
+        of = np.array([one.integral / one.acceptance for one in members])
         mass = np.array([piece.mass for piece in pieces])
         total = mass * of[self._member]
         self._alias = AliasTable(total)
@@ -90,7 +90,7 @@ class BlendedJoint(Proposing):
         no_corners = np.zeros((3, 2))
         self._corners = np.stack([no_corners if p.corners is None else p.corners for p in pieces])
         if exact:
-            kept = mass * np.array([one.info.integral for one in members])[self._member]
+            kept = mass * np.array([one.integral for one in members])[self._member]
             error = max(one.info.integral_error for one in members)
             self.info = JointInfo(float(kept.sum()), error, float(kept.sum() / total.sum()))
         else:

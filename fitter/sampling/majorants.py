@@ -18,6 +18,8 @@ from fitter.sampling.drawing import Kernel
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+#: Cells at a time where kernels work on cells, and from how many on in threads.
+AT_ONCE, MANY = 1 << 10, 1 << 12
 # Covers the rounding of the interpolation (a few sums of products) on top of the bound itself.
 ROUNDING = 1e-9
 
@@ -34,6 +36,13 @@ class Field(Protocol):
 
     def bound(self, cells: FloatArray) -> FloatArray:
         """(K,) upper bounds of the field on cells (K, 4) = a0, a1, b0, b1; 0 where unmeasured."""
+        ...
+
+    def integrals(
+        self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        """(K,) integral of the field over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their
+        weights, and at how many of the points it was measured."""
         ...
 
     def measures(self, cells: FloatArray) -> FloatArray:

@@ -39,6 +39,11 @@ class Proposing(ABC):
 
     info: JointInfo
 
+    @property
+    def integral(self) -> float:
+        """Of what the draws follow."""
+        return self.info.integral
+
     @abstractmethod
     def draw(self, rng: np.random.Generator, m: int) -> Candidates:
         """``m`` candidates; the accepted ones are independent and follow the density."""
@@ -53,7 +58,7 @@ class Proposing(ABC):
         self, seed: np.random.SeedSequence, out: Arrays, budget: int, stop: Event
     ) -> tuple[int, int, int]:
         """As :class:`Drawable` has it."""
-        rng, integral = np.random.default_rng(seed), self.info.integral
+        rng, integral = np.random.default_rng(seed), self.integral
         wo, pdf, weight = out
         tried = hits = filled = 0
         hopeful = 1.0

@@ -99,7 +99,7 @@ class TableSampler:
         """(M,) density of wo (M, 3) given ``wi`` (3,) per unit solid angle, 1/sr."""
         envelope = self.envelope(wi, allow_extrapolated=allow_extrapolated)
         wo = np.atleast_2d(np.asarray(wo, np.float64))
-        return envelope.values(wo) @ self._weights * np.maximum(wo[:, 2], 0.0) / envelope.info.integral
+        return envelope.values(wo) @ self._weights * np.maximum(wo[:, 2], 0.0) / envelope.integral
 
     def sample(
         self,
@@ -252,7 +252,7 @@ def _samples(
     n, weight = len(drawn.wo), drawn.weight
     if weight is None:
         # The same number for all: no memory need be written.
-        weight = np.broadcast_to(np.float64(envelope.info.integral), (n, 1))
+        weight = np.broadcast_to(np.float64(envelope.integral), (n, 1))
     return Samples(
         wo=drawn.wo, pdf=drawn.pdf, weight=weight, valid=np.ones(n, bool), is_delta=np.zeros(n, bool),
         acceptance=acceptance, seed=seed, evaluations=tried,

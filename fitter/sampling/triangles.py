@@ -77,10 +77,11 @@ class TriangleEnvelope:
             )
         )  # fmt: skip
         drawn = float(hats.sum())
+        self.integral, self.acceptance = integral, min(integral / drawn, 1.0)
         self.info = SliceInfo(
             integral=integral, integral_error=0.0, clamped_share=1.0 - float(raw) / integral,
             coverage=min(region / np.pi, 1.0), blind=max(1.0 - sphere / (2 * np.pi), 0.0),
-            cells=int(keep.sum()), acceptance=min(integral / drawn, 1.0), extrapolated=part.extrapolated,
+            cells=int(keep.sum()), acceptance=self.acceptance, extrapolated=part.extrapolated,
             method=method,
         )  # fmt: skip
 
@@ -93,7 +94,7 @@ class TriangleEnvelope:
             )
             for part in self._slice.parts
         )
-        return abs(found) / self.info.integral
+        return abs(found) / self.integral
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""
