@@ -147,8 +147,9 @@ class Encoder:
 def tables(
     rows: NDArray[np.uint8],
 ) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.uint8]]:
-    """For :func:`fitter.kernels.tiles.decoded`: which of the distributions (D, 4) each class (256,) has, -1 for none,
-    their cumulated probabilities and first tokens. Raises ValueError for an exponent that there is not."""
+    """For :func:`fitter.kernels.tiles.decoded`: which of the distributions (D, 4) each class (256,) has, -1
+    for none, their cumulated probabilities and first tokens. Raises ValueError for an exponent that there is
+    not."""
     from fitter.kernels.range_coder import cumulated
 
     if len(rows) and int(rows[:, 2].max()) >= len(EXPONENTS):

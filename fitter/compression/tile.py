@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from fitter.compression import entropy
 from fitter.compression.archive import pack_parts, unpack_parts
 from fitter.compression.dither import dither, kinds
-from fitter.compression.entropy import Distribution
 from fitter.compression.rules import NARROWEST, USUAL, Rules, Seen, classes, next_error
 from fitter.compression.stages import Numbers, Stage, neighbours, stages, woven
 

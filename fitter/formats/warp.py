@@ -105,7 +105,8 @@ class Warp:
 
     @property
     def packed(self) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-        """The first density for kernels: flat, its integrals along the rows, flat, and over the rows (H,); W."""
+        """The first density for kernels: flat, its integrals along the rows, flat, and over the rows (H,);
+        W."""
         return self._density[0].reshape(-1), self._along_x[0].reshape(-1), self._along_y[0], self.shape[1]
 
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,7 @@ Corner = tuple[int, float, float]
 def corner(height: int, width: int, x: float, y: float) -> Corner:
     """Of a point of the unit square on an image (height, width)."""
     across, down = x * (width - 1), y * (height - 1)
-    i, j = min(max(np.int64(across), 0), width - 2), min(max(np.int64(down), 0), height - 2)
+    i, j = min(max(int(across), 0), width - 2), min(max(int(down), 0), height - 2)
     return j * width + i, across - i, down - j
 
 
@@ -41,10 +41,11 @@ def looked_up(image: FloatArray, width: int, at: Corner) -> float:
 def inverse(
     density: FloatArray, along_x: FloatArray, along_y: FloatArray, width: int, x: float, y: float
 ) -> tuple[float, float]:
-    """As :meth:`fitter.formats.warp.Warp.inverse_of_one`, of a point of the unit square, for a flat density."""
+    """As :meth:`fitter.formats.warp.Warp.inverse_of_one`, of a point of the unit square, for a flat
+    density."""
     height = len(along_y)
     across, down = x * (width - 1), y * (height - 1)
-    i, j = min(max(np.int64(across), 0), width - 2), min(max(np.int64(down), 0), height - 2)
+    i, j = min(max(int(across), 0), width - 2), min(max(int(down), 0), height - 2)
     x, y, a = across - i, down - j, j * width + i
     b = a + width
     inside = x * (1 / (width - 1))
@@ -88,10 +89,10 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    cells : (K, 5) u and its width, v and its height, majorant. data, ndf : images, flat, channels (H W C,), whose
-    product times ``factor`` is f+, or f+ cos(theta_o) where ``cosined``. wi : on the stored copy of the surface; sign :
-    what takes a component back to the sample; turn : what the half vector's azimuth counts from. every : keep
-    rejected candidates, too, with a pdf of -1.
+    cells : (K, 5) u and its width, v and its height, majorant. data, ndf : images, flat, channels (H W C,),
+    whose product times ``factor`` is f+, or f+ cos(theta_o) where ``cosined``. wi : on the stored copy of
+    the surface; sign : what takes a component back to the sample; turn : what the half vector's azimuth
+    counts from. every : keep rejected candidates, too, with a pdf of -1.
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
@@ -141,7 +142,7 @@ def fill(
         tried += used
         if weight.shape[1]:
             for k in range(before, filled):
-                i = taken[k - before]
+                i = int(taken[k - before])
                 a, x, y = corner(height, width, b[_S * CHUNK + i], b[_T * CHUNK + i])
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
                 mine = b[_LOBE * CHUNK + i] * integral / b[_DENSITY * CHUNK + i]

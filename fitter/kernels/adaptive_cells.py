@@ -37,8 +37,8 @@ def integrals(
     found: FloatArray,
     known: NDArray[np.int64],
 ) -> None:
-    """The field's integral over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their weights, into
-    ``found`` (K,), and at how many of the points it was measured, into ``known`` (K,).
+    """The field's integral over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their
+    weights, into ``found`` (K,), and at how many of the points it was measured, into ``known`` (K,).
 
     What is known of the table is as in :func:`fitter.kernels.adaptive.fill`.
     """

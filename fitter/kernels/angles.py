@@ -9,7 +9,8 @@ from fitter.kernels import compiled, part
 
 FloatArray = NDArray[np.float64]
 
-# pi/2 in two parts: multiples of the first by small integers are exact; the last number is pi/2 less the double next to it.
+# pi/2 in two parts: multiples of the first by small integers are exact; the last number is pi/2 less the
+# double next to it.
 _QUARTER = float(np.ldexp(np.floor(np.ldexp(np.pi / 2, 32)), -32))
 _REST = (np.pi / 2 - _QUARTER) + 6.123233995736766e-17
 # Coefficients of the series of sine (x^3, x^5, ...) and cosine (x^2, x^4, ...), with signs.
@@ -52,7 +53,8 @@ def short_cosine(x: float) -> float:
 
 @part
 def cosine_and_sine(angle: float) -> tuple[float, float]:
-    """Of angles up to some thousand: by the rest of a division by quarter turns, and series up to 45 degrees."""
+    """Of angles up to some thousand: by the rest of a division by quarter turns, and series up to 45
+    degrees."""
     turns = np.floor(angle * (2 / np.pi) + 0.5)
     x = angle - turns * _QUARTER - turns * _REST
     q = x * x
@@ -68,8 +70,8 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 @part
 def arc(y: float, x: float) -> float:
-    """The angle of (x, y) from the x axis in [-pi, pi], 0 at the origin: from the nearest arc of a table on, by
-    tan(a - b) = (tan(a) - tan(b)) / (1 + tan(a) tan(b)) and a series."""
+    """The angle of (x, y) from the x axis in [-pi, pi], 0 at the origin: from the nearest arc of a table on,
+    by tan(a - b) = (tan(a) - tan(b)) / (1 + tan(a) tan(b)) and a series."""
     across, along = abs(y), abs(x)
     high, low = max(across, along), min(across, along)
     if high == 0.0:

@@ -49,8 +49,8 @@ def up_to(s: float, height: float, sine: float, cosine: float) -> tuple[float, f
 def halley(
     s: float, wanted: float, a: float, b: float, sine: float, cosine: float, height: float
 ) -> tuple[float, float]:
-    """A step of Halley's method, which triples the digits, towards the s below which the integral is ``wanted``:
-    where it leads, and its length."""
+    """A step of Halley's method, which triples the digits, towards the s below which the integral is
+    ``wanted``: where it leads, and its length."""
     flat, slope = up_to(s, height, sine, cosine)
     missing = wanted - (a * flat + (b - a) * slope)
     x = 2 * height * s
@@ -79,8 +79,8 @@ def halved(wanted: float, a: float, b: float, sine: float, cosine: float, height
 
 @part
 def invert(b: FloatArray, m: int) -> None:
-    """The first uniform number of each candidate replaced by the s in [0, 1] with that share of the integral of
-    (f + (g - f) s) sin cos below it, f and g the sums of the corners at the ends of theta."""
+    """The first uniform number of each candidate replaced by the s in [0, 1] with that share of the integral
+    of (f + (g - f) s) sin cos below it, f and g the sums of the corners at the ends of theta."""
     for i in range(m):
         f, g = b[_F * CHUNK + i] + b[(_F + 1) * CHUNK + i], b[(_F + 2) * CHUNK + i] + b[(_F + 3) * CHUNK + i]
         height, sine, cosine = b[_HEIGHT * CHUNK + i], b[_SINE2 * CHUNK + i], b[_COSINE2 * CHUNK + i]
@@ -146,15 +146,15 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    cells : (K, 12 + 4 C) theta, height, azimuth in the sample's frame, width, the largest sin(2 theta), values at
-    the corners (low, low), (low, high), (high, low), (high, high) of theta and azimuth, sine and cosine of 2 theta
-    and the integral of the values times sin cos along theta, summed over both ends of azimuth; then the corners of
-    every channel.
-    Where the field is a sum of powers of bilinear functions: where, ends : (K, 4) flat nodes, and fractions at the
-    ends of theta and of azimuth, of each cell; roots (T, N), power and coefficient (T,) of each term, those of one
-    channel together; weights : (C,) of the channels. Else they have no rows.
-    exact : theta by inversion; then every candidate is a draw. slack : what rounding may put a power above its
-    envelope by, as a factor. every : keep rejected candidates, too, with a pdf of -1.
+    cells : (K, 12 + 4 C) theta, height, azimuth in the sample's frame, width, the largest sin(2 theta),
+    values at the corners (low, low), (low, high), (high, low), (high, high) of theta and azimuth, sine and
+    cosine of 2 theta and the integral of the values times sin cos along theta, summed over both ends of
+    azimuth; then the corners of every channel.
+    Where the field is a sum of powers of bilinear functions: where, ends : (K, 4) flat nodes, and fractions
+    at the ends of theta and of azimuth, of each cell; roots (T, N), power and coefficient (T,) of each term,
+    those of one channel together; weights : (C,) of the channels. Else they have no rows.
+    exact : theta by inversion; then every candidate is a draw. slack : what rounding may put a power above
+    its envelope by, as a factor. every : keep rejected candidates, too, with a pdf of -1.
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
@@ -205,8 +205,8 @@ def fill(
         tried += used
         if weight.shape[1]:
             for k in range(before, filled):
-                i = taken[k - before]
-                item, s, t = items[i], b[U * CHUNK + i], b[V * CHUNK + i]
+                i = int(taken[k - before])
+                item, s, t = int(items[i]), b[U * CHUNK + i], b[V * CHUNK + i]
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
                 factor = integral / b[_DENSITY * CHUNK + i]
                 for c in range(weight.shape[1]):

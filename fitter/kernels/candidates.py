@@ -1,5 +1,5 @@
-"""Candidates inside kernels, a chunk at a time: step by step, each step a loop that the compiler turns into vector
-instructions, over rows of one array that stays in the first cache.
+"""Candidates inside kernels, a chunk at a time: step by step, each step a loop that the compiler turns into
+vector instructions, over rows of one array that stays in the first cache.
 
 Row k of a chunk is ``b[k * CHUNK + i]`` for the candidates i.
 """
@@ -33,7 +33,8 @@ def proposed(
     b: FloatArray,
     m: int,
 ) -> State:
-    """``m`` cells chosen into ``items``, uniform numbers and the cells' first ``columns`` into the rows of ``b``."""
+    """``m`` cells chosen into ``items``, uniform numbers and the cells' first ``columns`` into the rows of
+    ``b``."""
     for i in range(m):
         b[CHANCE * CHUNK + i], r = uniform(r)
         b[U * CHUNK + i], b[V * CHUNK + i], r = two(r)
@@ -67,8 +68,8 @@ def collected(
 ) -> tuple[int, int]:
     """What was accepted of ``m`` candidates, whose rows from ``x`` on are wo and pdf, after ``filled`` draws.
 
-    Returns how many candidates were used, -1 where one is above its majorant, and the draws there are now; ``taken``
-    holds which candidates became draws.
+    Returns how many candidates were used, -1 where one is above its majorant, and the draws there are now;
+    ``taken`` holds which candidates became draws.
     """
     before = filled
     for i in range(m):

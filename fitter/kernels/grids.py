@@ -25,8 +25,9 @@ def located(
     m: int,
     measured: int,
 ) -> None:
-    """Coordinates ``x[start:start + m]`` on one of several axes replaced by fractions between the nodes ``low`` and
-    ``low + step``, from ``at`` on; ``x[measured:measured + m]`` set to 0 where that was not measured.
+    """Coordinates ``x[start:start + m]`` on one of several axes replaced by fractions between the nodes
+    ``low`` and ``low + step``, from ``at`` on; ``x[measured:measured + m]`` set to 0 where that was not
+    measured.
 
     nodes, first, about : as :func:`fitter.sampling.axes.packed` has them.
     """

@@ -12,7 +12,8 @@ from fitter.kernels.grids import half_difference, located
 
 FloatArray = NDArray[np.float64]
 
-# Rows of a chunk: the cell, the direction and pdf, then fractions on the three axes, and whether it was measured.
+# Rows of a chunk: the cell, the direction and pdf, then fractions on the three axes, and whether it was
+# measured.
 _SIN2, _COS2, _CHANGE, _PHI, _WIDTH, _MAJORANT = 3, 4, 5, 6, 7, 8
 OUT, _AT, DENSITY = 9, 13, 17
 ROWS = 18
@@ -27,8 +28,8 @@ def placed(
     b: FloatArray,
     m: int,
 ) -> None:
-    """Angles in the rows from ``_AT`` on replaced by fractions on their axes; into the rows of ``where`` the flat
-    index of the lowest corner, and strides to the ones beside."""
+    """Angles in the rows from ``_AT`` on replaced by fractions on their axes; into the rows of ``where`` the
+    flat index of the lowest corner, and strides to the ones beside."""
     columns, deep = np.int64(about[1, 0]), np.int64(about[2, 0])
     for i in range(m):
         b[(_AT + 3) * CHUNK + i] = 1.0
@@ -43,7 +44,8 @@ def placed(
 
 @part
 def angles(about: FloatArray, start: float, wi: tuple[float, float], b: FloatArray, m: int) -> None:
-    """Half and difference angles, into the rows from ``_AT`` on, of the directions in the rows from ``OUT`` on."""
+    """Half and difference angles, into the rows from ``_AT`` on, of the directions in the rows from ``OUT``
+    on."""
     period = about[2, 5] if about[2, 5] > 0 else 2 * np.pi
     for i in range(m):
         theta_h, theta_d, phi_d = half_difference(
@@ -102,9 +104,9 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    cells : (K, 6) sin^2 and cos^2 of theta, their change, azimuth, width and majorant. wi : its sine and cosine.
-    turn : cosine and sine of its azimuth. table : (N,) f+ weighted; channels : (N, C). every : keep rejected
-    candidates, too, with a pdf of -1.
+    cells : (K, 6) sin^2 and cos^2 of theta, their change, azimuth, width and majorant. wi : its sine and
+    cosine. turn : cosine and sine of its azimuth. table : (N,) f+ weighted; channels : (N, C). every : keep
+    rejected candidates, too, with a pdf of -1.
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
@@ -142,7 +144,7 @@ def fill(
         tried += used
         if weight.shape[1]:
             for k in range(before, filled):
-                i = taken[k - before]
+                i = int(taken[k - before])
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
                 factor = integral / b[DENSITY * CHUNK + i]
                 for c in range(weight.shape[1]):

@@ -1,4 +1,5 @@
-"""Cells of grids in half and difference angles: bounds and integrals, see :mod:`fitter.sampling.half_difference`."""
+"""Cells of grids in half and difference angles: bounds and integrals, see
+:mod:`fitter.sampling.half_difference`."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ def integrals(
     found: FloatArray,
     known: NDArray[np.int64],
 ) -> None:
-    """The field's integral over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their weights, into
-    ``found`` (K,), and at how many of the points it was measured, into ``known`` (K,)."""
+    """The field's integral over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their
+    weights, into ``found`` (K,), and at how many of the points it was measured, into ``known`` (K,)."""
     n = len(x)
     b, where = np.empty(ROWS * CHUNK), np.empty(6 * CHUNK, np.int64)
     per = CHUNK // (n * n)
@@ -83,10 +84,10 @@ def bounds(
 ) -> None:
     """:meth:`HalfDifferenceField.bound` of cells (K, 4), into ``found`` (K,); steps are numbered as there.
 
-    nodes, about : as :func:`fitter.sampling.axes.packed` has them. sparse, around, levels, whole : of the maxima over
-    boxes and windows. slack : added to every reach.
+    nodes, about : as :func:`fitter.sampling.axes.packed` has them. sparse, around, levels, whole : of the
+    maxima over boxes and windows. slack : added to every reach.
     """
-    rows, columns = np.int64(about[0, 0]), np.int64(about[1, 0])
+    rows, columns = int(about[0, 0]), int(about[1, 0])
     for k in range(len(cells)):
         theta0, theta1, phi0, phi1 = cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3]
         # 1. The radius, and the angles at the centre.

@@ -56,8 +56,8 @@ def ratio(step: float, width: float) -> float:
 
 @part
 def shares(nodes: FloatArray, axis: int, n: int, some: Span, which: int) -> Three:
-    """Weights of the three nodes around an interval that holds at most one, at its lower end, at the node inside (or
-    again at an end), or at its upper end."""
+    """Weights of the three nodes around an interval that holds at most one, at its lower end, at the node
+    inside (or again at an end), or at its upper end."""
     first, _, low, high = some
     x0, x1, x2 = nodes[axis, first], nodes[axis, min(first + 1, n - 1)], nodes[axis, min(first + 2, n - 1)]
     point = low if which == 0 else (high if which == 2 else min(max(x1, low), high))
@@ -89,8 +89,8 @@ def box(sparse: NDArray[np.float64], i0: int, i1: int, j0: int, j1: int) -> floa
 def window(
     around: FloatArray, count: int, levels: NDArray[np.float32], low: float, high: float
 ) -> tuple[int, int, int]:
-    """Of a :class:`WindowMaximum` over [low, high]: the level, -1 where the whole axis stands for it, and the two
-    windows that cover it."""
+    """Of a :class:`WindowMaximum` over [low, high]: the level, -1 where the whole axis stands for it, and
+    the two windows that cover it."""
     n = around.shape[1]
     if n == 0:
         return -1, 0, 0

@@ -1,10 +1,12 @@
 """The decoder's half of the range coder under compressed tables, see :mod:`fitter.compression.entropy`.
 
-Range coding is G. N. N. Martin's (1979); word size, precision and how probabilities become whole numbers are those of
-constriction, which writes what is read here.
+Range coding is G. N. N. Martin's (1979); word size, precision and how probabilities become whole numbers are
+those of constriction, which writes what is read here.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +37,11 @@ def cumulated(
     ends: Words,
     first: NDArray[np.uint8],
 ) -> None:
-    """Cumulated probabilities of tokens, in units of 2^-24, of distributions (D, 4): class, scale, exponent, largest token.
+    """Cumulated probabilities of tokens, in units of 2^-24, of distributions (D, 4): class, scale, exponent,
+    largest token.
 
-    scales, exponents : by their numbers. middle, width : of the tokens. ends : (D shifts, tokens + 1), filled. first :
-    (D shifts, 256) the first token that a probability with these highest bits may be.
+    scales, exponents : by their numbers. middle, width : of the tokens. ends : (D shifts, tokens + 1),
+    filled. first : (D shifts, 256) the first token that a probability with these highest bits may be.
     """
     weight, square = np.empty(len(middle)), np.empty(len(middle))
     for d in range(len(rows)):
@@ -91,7 +94,7 @@ def opened(words: Words) -> Reader:
 @part
 def token(
     reader: Reader, words: Words, ends: Words, first: NDArray[np.uint8], row: int
-) -> tuple[int, Reader]:
+) -> tuple[Any, Reader]:
     """The next token, of the distribution ``row``; -1 for data that has none."""
     lower, wide, point, place = reader
     scale = wide >> _U(_PRECISION)

@@ -33,10 +33,10 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    items : (K, 3 (3 + C)) x, y, density and channels of each item, at the first corner and their changes to the
-    other two. exact : by inversion; then every candidate is a draw. slack : what rounding may put the density above
-    its largest corner by, as a factor. turn : cosine and sine of the slice's azimuth. every : keep rejected
-    candidates, too, with a pdf of -1.
+    items : (K, 3 (3 + C)) x, y, density and channels of each item, at the first corner and their changes to
+    the other two. exact : by inversion; then every candidate is a draw. slack : what rounding may put the
+    density above its largest corner by, as a factor. turn : cosine and sine of the slice's azimuth. every :
+    keep rejected candidates, too, with a pdf of -1.
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
@@ -73,8 +73,8 @@ def fill(
         tried += used
         if weight.shape[1]:
             for k in range(before, filled):
-                i = taken[k - before]
-                item, second, third = chosen[i], b[U * CHUNK + i], b[V * CHUNK + i]
+                i = int(taken[k - before])
+                item, second, third = int(chosen[i]), b[U * CHUNK + i], b[V * CHUNK + i]
                 # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
                 factor = integral / b[CHANCE * CHUNK + i]
                 for c in range(weight.shape[1]):

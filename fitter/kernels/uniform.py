@@ -1,5 +1,5 @@
-"""Random numbers inside kernels: xoshiro256++ (D. Blackman, S. Vigna 2021, "Scrambled linear pseudorandom number
-generators"), one stream for each block of draws, seeded by NumPy's SeedSequence."""
+"""Random numbers inside kernels: xoshiro256++ (D. Blackman, S. Vigna 2021, "Scrambled linear pseudorandom
+number generators"), one stream for each block of draws, seeded by NumPy's SeedSequence."""
 
 from __future__ import annotations
 

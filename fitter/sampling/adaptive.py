@@ -173,8 +173,8 @@ class AdaptiveField:
         return found, known
 
     @property
-    def _incidence(self) -> tuple[float, ...]:
-        return tuple(map(float, self._wi))
+    def _incidence(self) -> tuple[float, float, float]:
+        return float(self._wi[0]), float(self._wi[1]), float(self._wi[2])
 
     @property
     def _factor(self) -> float:

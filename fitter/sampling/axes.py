@@ -155,9 +155,9 @@ def axes_of(grid: Grid) -> tuple[Axis, ...]:
 
 
 def packed(axes: Sequence[Axis]) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """Axes for kernels: nodes (A, n), after the last one that where the axis begins again; the node at the start
-    of each of equal buckets (A, m); and (A, 6) how many nodes and how many buckets, buckets per radian (0: none),
-    extent, period (0: none)."""
+    """Axes for kernels: nodes (A, n), after the last one that where the axis begins again; the node at the
+    start of each of equal buckets (A, m); and (A, 6) how many nodes and how many buckets, buckets per radian
+    (0: none), extent, period (0: none)."""
     most = max(len(axis.nodes) for axis in axes) + 1
     buckets = [(0.0, np.zeros(1, np.intp)) if axis.buckets is None else axis.buckets[:2] for axis in axes]
     nodes, about = np.full((len(axes), most), np.inf), np.zeros((len(axes), 6))

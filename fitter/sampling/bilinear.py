@@ -136,7 +136,8 @@ class BilinearEnvelope:
             every = field.corners_of_channels(rectangles[keep])
         columns = [
             self._theta, self._height, self._phi + field.rotation, self._width, self._steepest, *self._corner,
-            np.sin(2 * theta0), np.cos(2 * theta0), mass[keep] / (0.5 * self._width * self._height), *every.reshape(-1, len(theta0)),
+            np.sin(2 * theta0), np.cos(2 * theta0), mass[keep] / (0.5 * self._width * self._height),
+            *every.reshape(-1, len(theta0)),
         ]  # fmt: skip
         self.kernel = Kernel(
             partial(

@@ -90,8 +90,13 @@ class CellEnvelope:
         self.acceptance = min(self.integral / float(envelope.sum()), 1.0)
         self.kernel = field.kernel(AliasTable(envelope), self._cells, self._majorant, self.integral)
 
-    @cached_property
+    @property
     def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        return self._info
+
+    @cached_property
+    def _info(self) -> SliceInfo:
         field = self._field
         coarse, disk, sphere = self._covered(self._fine)
         error = float(np.abs(self._mass - coarse).sum()) / self.integral

@@ -30,9 +30,9 @@ class Drawable(Protocol):
     def fill(
         self, seed: np.random.SeedSequence, out: Arrays, budget: int, stop: Event
     ) -> tuple[int, int, int]:
-        """``(tried, hits, filled)`` of filling the arrays of one block; ``hits`` are the accepted candidates, used
-        or not, ``filled`` the draws made: fewer than asked for where ``budget`` candidates are used up or
-        ``stop`` is set.
+        """``(tried, hits, filled)`` of filling the arrays of one block; ``hits`` are the accepted
+        candidates, used or not, ``filled`` the draws made: fewer than asked for where ``budget`` candidates
+        are used up or ``stop`` is set.
 
         Raises FitError where a candidate exceeds its majorant.
         """
@@ -41,7 +41,8 @@ class Drawable(Protocol):
 
 @dataclass(frozen=True)
 class Kernel:
-    """A slice's draws. call : one of the ``fill`` of :mod:`fitter.kernels`, all but its last six arguments given."""
+    """A slice's draws. call : one of the ``fill`` of :mod:`fitter.kernels`, all but its last six arguments
+    given."""
 
     call: Callable[..., tuple[int, int]]
 

@@ -41,8 +41,8 @@ class Field(Protocol):
     def integrals(
         self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
     ) -> tuple[FloatArray, NDArray[np.int64]]:
-        """(K,) integral of the field over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their
-        weights, and at how many of the points it was measured."""
+        """(K,) integral of the field over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and
+        their weights, and at how many of the points it was measured."""
         ...
 
     def measures(self, cells: FloatArray) -> FloatArray:

@@ -53,8 +53,8 @@ class BoxMaximum:
 class WindowMaximum:
     """Maximum of a table (R, S, P) over intervals of its last, periodic axis, at one (row, column).
 
-    around : (1, 3 P) the nodes, once before and once after; levels : (L, R, S, P) maxima over 2^k nodes from each on;
-    whole : (R, S) over all nodes. Without levels the whole axis stands for any interval.
+    around : (1, 3 P) the nodes, once before and once after; levels : (L, R, S, P) maxima over 2^k nodes from
+    each on; whole : (R, S) over all nodes. Without levels the whole axis stands for any interval.
     """
 
     def __init__(self, table: FloatArray, nodes: FloatArray, period: float | None) -> None:

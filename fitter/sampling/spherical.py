@@ -118,7 +118,8 @@ class SphericalField:
     def _ends(
         self, rectangles: FloatArray
     ) -> tuple[tuple[Place, Place], list[tuple[FloatArray, FloatArray]]]:
-        """Of cells inside one cell of the grid: its places, and fractions at both ends, of theta and of azimuth."""
+        """Of cells inside one cell of the grid: its places, and fractions at both ends, of theta and of
+        azimuth."""
         theta0, theta1, phi0, phi1 = rectangles.T
         # The cell's own side of each node, which rounding at its corners would not tell.
         middle = self._wrapped(0.5 * (phi0 + phi1))
@@ -134,7 +135,8 @@ class SphericalField:
         return places, ends
 
     def powers(self, rectangles: FloatArray) -> tuple[NDArray[Any], ...]:
-        """What kernels need to know of cells where the field is not bilinear, see :func:`fitter.kernels.bilinear.fill`."""
+        """What kernels need to know of cells where the field is not bilinear, see
+        :func:`fitter.kernels.bilinear.fill`."""
         if self.linear:
             nothing = np.zeros((0, 4))
             return nothing.astype(np.int64), nothing, nothing, np.zeros(0), np.zeros(0), np.ones(1)

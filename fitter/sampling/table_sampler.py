@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import FitError, SpecError, TableError
+from fitter.sampling.drawing import Drawable
 from fitter.sampling.envelope import Envelope, JointEnvelope, JointInfo, Method, SliceInfo
 from fitter.sampling.interpolant import interpolant
-from fitter.sampling.proposing import Proposing
 from fitter.sampling.rejection import BLOCK, Drawn, blocks
 from fitter.sampling.samples import Samples
 
@@ -127,7 +127,7 @@ class TableSampler:
         if several.ndim != 2:
             _check_count(n, MOST_DRAWS)
             envelope, sequence, kept = self._start(wi, seed, allow_extrapolated)
-            drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK)))
+            drawn = next(self._drawn(envelope.kernel, n, sequence, max_evaluations, -(-n // BLOCK)))
             return _samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
         _check_count(n, MOST_DRAWS // max(len(several), 1))
         sequence, kept = _sequence(seed)
@@ -137,7 +137,7 @@ class TableSampler:
             left = None if max_evaluations is None else max_evaluations - tried
             envelope = self.envelope(one, allow_extrapolated=allow_extrapolated)
             own = np.random.SeedSequence(sequence.entropy, spawn_key=(*sequence.spawn_key, k))
-            drawn = next(self._drawn(envelope, n, own, left, -(-n // BLOCK)))
+            drawn = next(self._drawn(envelope.kernel, n, own, left, -(-n // BLOCK)))
             tried += drawn.tried
             parts.append(_samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept))
         return joined(parts, np.repeat(several, n, axis=0))
@@ -187,13 +187,13 @@ class TableSampler:
         self, envelope: Envelope, n: int, sequence: np.random.SeedSequence, kept: int | None, most: int | None
     ) -> Iterator[Samples]:
         tried = hits = 0
-        for drawn in self._drawn(envelope, n, sequence, most, _AT_ONCE):
+        for drawn in self._drawn(envelope.kernel, n, sequence, most, _AT_ONCE):
             tried, hits = tried + drawn.tried, hits + drawn.hits
             yield _samples(envelope, drawn, hits / tried, tried, kept)
 
     def _drawn(
         self,
-        envelope: Envelope | JointEnvelope,
+        source: Drawable,
         n: int,
         sequence: np.random.SeedSequence,
         most: int | None,
@@ -203,7 +203,6 @@ class TableSampler:
         """Parts of ``n`` draws. Raises FitError once ``most`` candidates were not enough."""
         tried = hits = made = 0
         count, each = len(self._weights), int(BLOCK / _HOPELESS)
-        source = envelope if isinstance(envelope, Proposing) else envelope.kernel
         for drawn in blocks(source, n, sequence, count, most, each, at_once, width):
             tried, hits, made = tried + drawn.tried, hits + drawn.hits, made + drawn.filled
             if drawn.filled < len(drawn.wo):

@@ -57,7 +57,8 @@ def test_the_coder_gives_back_its_tokens(groups: list[tuple[list[int], int]]) ->
 
 
 def test_every_distribution_can_code_every_token() -> None:
-    """What constriction writes is what the kernel reads, for every exponent and scales from narrow to wide."""
+    """What constriction writes is what the kernel reads, for every exponent and scales from narrow to
+    wide."""
     for scale in range(0, 160, 11):
         for exponent in range(len(entropy.EXPONENTS)):
             for top in (0, 1, 40, 200):

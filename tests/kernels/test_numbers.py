@@ -1,4 +1,5 @@
-"""What kernels are made of: random numbers against published ones, angles against the libraries', the cache."""
+"""What kernels are made of: random numbers against published ones, angles against the libraries', the
+cache."""
 
 from __future__ import annotations
 
@@ -73,7 +74,8 @@ def test_arcs_are_inverted_to_rounding() -> None:
 
 
 def test_kernels_are_kept_and_do_without_a_folder(tmp_path: Path) -> None:
-    """In the program's own cache folder; where that can't be made, each process compiles; Numba's own setting stays."""
+    """In the program's own cache folder; where that can't be made, each process compiles; Numba's own
+    setting stays."""
     code = (
         "import numba, numpy as np; from fitter.kernels import uniform; "
         "print(uniform.words(np.array([1, 2, 3, 4], np.uint64), 1)[0], repr(numba.config.CACHE_DIR))"
