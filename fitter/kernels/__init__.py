@@ -43,6 +43,12 @@ def part(function: Function) -> Function:
     return _numba.njit(function, error_model="numpy", forceinline=True)
 
 
+def routine(function: Function) -> Function:
+    """A part that is compiled once and called: for those whose copies would take longer to compile than the
+    calls ever will."""
+    return _numba.njit(function, error_model="numpy")
+
+
 @cache
 def cache_folder() -> Path:
     """Where compiled kernels are kept: one folder for each state of this package, because Numba looks for

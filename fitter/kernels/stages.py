@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.kernels import part
+from fitter.kernels import part, routine
 
 Numbers = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
@@ -22,7 +22,7 @@ def clamped(row: int, last: int) -> int:
     return min(max(row, 0), last)
 
 
-@part
+@routine
 def row_pair(known: Numbers, sign: float, a: int, b: int, inner: int, found: Numbers, c: int) -> None:
     """The sum, or difference, of two runs of known nodes."""
     # Unsigned: an index that may be negative would count from the end, and be in the way of vector
@@ -36,7 +36,7 @@ def row_pair(known: Numbers, sign: float, a: int, b: int, inner: int, found: Num
             found[w + i] = known[u + i] - known[v + i]
 
 
-@part
+@routine
 def added_to(
     found: Numbers, values: Numbers, row: int, start: int, factor: Any, absolute: bool, count: int
 ) -> None:
@@ -50,7 +50,7 @@ def added_to(
             found[i] += values[k, u + i] * factor
 
 
-@part
+@routine
 def pair(
     known: Numbers,
     sign: float,
@@ -92,7 +92,7 @@ def mirrored(row: int, n: int) -> int:
     return row if row < n else 2 * n - 1 - row
 
 
-@part
+@routine
 def beside(values: Numbers, outer: int, n: int, inner: int, step: int, found: Numbers) -> None:
     """The sum of the nodes ``step`` rows to either side, mirrored at the ends."""
     stop = max(n - step, step)
@@ -118,7 +118,7 @@ def inside(dims: IntArray, axis: int, channels: int) -> tuple[int, int, int]:
     return outer, dims[axis], inner
 
 
-@part
+@routine
 def neighbours(
     known: Numbers, error: Numbers, dims: IntArray, axis: int, count: int, channels: int, sums: Numbers,
     others: Numbers, scratch: Numbers, counts: IntArray,
@@ -169,7 +169,7 @@ def neighbours(
     return used
 
 
-@part
+@routine
 def far_apart(sums: Numbers, used: int, start: int, count: int, found: Numbers) -> None:
     """The spread of :meth:`fitter.compression.rules.Seen.of`."""
     half, u = sums.dtype.type(0.5), np.uint64(start)
@@ -180,7 +180,7 @@ def far_apart(sums: Numbers, used: int, start: int, count: int, found: Numbers) 
             found[i] += abs(sums[k, u + i] * half - sums[0, u + i])
 
 
-@part
+@routine
 def dithered(seed: int, stage: int, channel: int, found: Numbers) -> None:
     """As :func:`fitter.compression.dither.dither`."""
     scale, start = found.dtype.type(2.0**-23), found.dtype.type(2.0**-24 - 0.5)
@@ -194,7 +194,7 @@ def dithered(seed: int, stage: int, channel: int, found: Numbers) -> None:
         found[i] = found.dtype.type(mixed) * scale + start
 
 
-@part
+@routine
 def woven(known: Numbers, new: Numbers, outer: int, n: int, inner: int, count: int, found: Numbers) -> None:
     """Known nodes (outer, n, inner) and the new ones between them."""
     both = n + count

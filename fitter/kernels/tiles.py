@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.kernels import compiled, part
+from fitter.kernels import compiled, part, routine
 from fitter.kernels.range_coder import Reader, Words, opened, token
 from fitter.kernels.stages import IntArray, Numbers, added_to, dithered, far_apart, inside, neighbours, woven
 
@@ -26,7 +26,7 @@ def width_of(code: int) -> float:
     return 0.0 if code < 0 else (8 + (code & 7)) / 16.0 * 2.0 ** ((code >> 3) - 23)
 
 
-@part
+@routine
 def classed(width: Numbers, added: Numbers, narrowest: int, kinds: Bytes) -> None:
     """Class and shift of each number, as ``fitter.compression`` has them."""
     # The exponent and the first bit of the mantissa: in double precision they are in the upper of two words.
@@ -38,7 +38,7 @@ def classed(width: Numbers, added: Numbers, narrowest: int, kinds: Bytes) -> Non
         kinds[i] = min(max(half, 0), 47) * 4 + np.int64(abs(added[i]) * width.dtype.type(8))
 
 
-@part
+@routine
 def corrected(
     values: IntArray, here: NDArray[np.bool_], added: Numbers, predicted: Numbers, width: Numbers,
     corrections: Numbers, new: Numbers, missed: Numbers, start: int,
@@ -55,7 +55,7 @@ def corrected(
         missed[u + i] = abs(correction) * kind(0.6) + width[i] * kind(0.4)
 
 
-@part
+@routine
 def ordered(
     kinds: Bytes, here: NDArray[np.bool_], order: IntArray, tokens: IntArray, reader: Reader, words: Words,
     which: IntArray, ends: Words, first: Bytes,
@@ -87,7 +87,7 @@ def ordered(
     return 0, reader
 
 
-@part
+@routine
 def chosen(
     good: NDArray[np.bool_], shape: IntArray, dims: IntArray, axis: int, step: int, count: int, channel: int,
     here: NDArray[np.bool_],
@@ -141,7 +141,10 @@ def decoded(
     dims = np.ones(axes, np.int64)
     known, error = np.empty(total, start.dtype), np.zeros(total, start.dtype)
     spare, wrong = np.empty(total, start.dtype), np.empty(total, start.dtype)
-    known[:channels] = start
+    if total == 0:
+        return 0
+    for c in range(channels):
+        known[c] = start[c]
     # A stage's nodes are half of all at most.
     half = max(total // 2, 1)
     sums, others = np.empty((most, half), start.dtype), np.empty((4, half), start.dtype)
@@ -221,7 +224,8 @@ def decoded(
                 for k in range(used - 1):
                     share += weights[k]
                 factor = kind((1.0 - 0.015625 * share) / counts[0])
-                predicted[:nodes] = 0
+                for i in range(nodes):
+                    predicted[i] = 0
                 added_to(predicted, sums, 0, at, factor, False, nodes)
                 for k in range(used - 1):
                     if weights[k] != 0:
