@@ -14,17 +14,18 @@ _MANY = 1 << 20
 _THREADS = 4
 
 
-def in_parts(work: Callable[[slice], None], count: int, rows: int | None = None) -> None:
+def in_parts(work: Callable[[slice], None], count: int, rows: int | None = None, many: int = _MANY) -> None:
     """Call ``work`` with slices that cover ``range(count)``, in any order, from several threads where many.
 
-    rows : of a slice; default ``ROWS``.
+    rows : of a slice; default ``ROWS``. many : rows from which on there are threads; fewer are worth it where
+    ``work`` holds no lock.
 
     ``work`` writes what it computes into arrays of its caller, at its slice. What it raises is raised here.
     """
     rows = rows or ROWS
     slices = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
     threads = min(os.cpu_count() or 1, _THREADS)
-    if count < _MANY or threads == 1:
+    if count < many or threads == 1:
         for part in slices:
             work(part)
         return

@@ -59,9 +59,7 @@ def default_floor(table: Table) -> FloatArray:
     return floors
 
 
-def given_floor(
-    floor: ArrayLike | Mapping[str, float], names: list[str], usual: FloatArray
-) -> FloatArray:
+def given_floor(floor: ArrayLike | Mapping[str, float], names: list[str], usual: FloatArray) -> FloatArray:
     """(C,) from one number, one per channel, or some by name beside the ``usual`` ones. Raises SpecError."""
     if isinstance(floor, Mapping):
         unknown = [name for name in floor if name not in names]

@@ -6,7 +6,7 @@ coded as tokens: small ones are one each, larger ones an eighth of an octave, wh
 as they are. The range coder is constriction's.
 
 Probabilities are computed by IEEE additions, multiplications, divisions and square roots alone, so that every
-machine has the same ones.
+machine has the same ones. What is written here is read by :mod:`fitter.kernels.range_coder`.
 """
 
 from __future__ import annotations
@@ -100,18 +100,6 @@ def tokens(numbers: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     return token, bits, folded & ((1 << bits) - 1)
 
 
-def numbers(token: IntArray, rest: IntArray, bits: IntArray) -> IntArray:
-    """Inverse of :func:`tokens`."""
-    part = (token - DIRECT) & ((1 << MANTISSA) - 1)
-    folded = np.where(token < DIRECT, token, (((1 << MANTISSA) + part) << bits) | rest)
-    return (folded >> 1) ^ -(folded & 1)
-
-
-def bits_of(token: IntArray) -> IntArray:
-    """How many bits follow each token."""
-    return np.where(token < DIRECT, 0, ((token - DIRECT) >> MANTISSA) + _FIRST_OCTAVE - MANTISSA)
-
-
 def fitted(token: IntArray, shift: IntArray) -> Distribution:
     """The distribution that codes these tokens, of numbers shifted by SHIFTS[shift], in the fewest bits."""
     top = int(token.max())
@@ -156,25 +144,32 @@ class Encoder:
         return distributions, coder.get_compressed()
 
 
-class Decoder:
-    """Reads back, group by group, what :class:`Encoder` wrote."""
+def tables(
+    rows: NDArray[np.uint8],
+) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.uint8]]:
+    """For :func:`fitter.kernels.tiles.decoded`: which of the distributions (D, 4) each class (256,) has, -1
+    for none, their cumulated probabilities and first tokens. Raises ValueError for an exponent that there is
+    not."""
+    from fitter.kernels.range_coder import cumulated
 
-    def __init__(self, distributions: dict[int, Distribution], words: NDArray[np.uint32]) -> None:
-        self._distributions = distributions
-        self._coder = _stream.queue.RangeDecoder(words)
+    if len(rows) and int(rows[:, 2].max()) >= len(EXPONENTS):
+        raise ValueError("a distribution with an exponent that there is not")
+    which = np.full(256, -1)
+    which[rows[:, 0]] = np.arange(len(rows))
+    middle, width = _buckets()
+    top = min(max(2, 1 + int(rows[:, 3].max(initial=0))), len(middle))
+    ends = np.empty((len(rows) * len(SHIFTS), top + 1), np.uint32)
+    first = np.empty((len(ends), 256), np.uint8)
+    shifts, exponents = np.array(SHIFTS), np.array(EXPONENTS)
+    cumulated(rows, _scales(), exponents, middle[:top], width[:top], shifts, _LEAST, ends, first)
+    return which, ends, first
 
-    def read(self, kind: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """The tokens of the next group, of these kinds. Raises ValueError for data that has none."""
-        found = np.empty(len(kind), np.int32)
-        for u, rows in by_class(kind):
-            own, shift = divmod(u, len(SHIFTS))
-            if own not in self._distributions:
-                raise ValueError(f"a number of the class {own}, which has no distribution")
-            try:
-                found[rows] = self._coder.decode(self._distributions[own].models[shift], len(rows))
-            except AssertionError as error:  # what the coder raises for data that no encoder wrote
-                raise ValueError(str(error)) from error
-        return found
+
+@cache
+def _scales() -> FloatArray:
+    """(256,) what the numbers of scales stand for."""
+    octave, quarter = np.divmod(np.arange(256) + _SMALLEST_SCALE, 4)
+    return np.ldexp(np.array(_QUARTERS)[quarter], octave)
 
 
 def by_class(kind: NDArray[np.uint8]) -> list[tuple[int, IntArray]]:
@@ -192,25 +187,3 @@ def pack_bits(rest: IntArray, bits: IntArray) -> NDArray[np.uint8]:
     owner = np.repeat(np.arange(len(bits)), bits)
     place = np.arange(total) - np.repeat(ends - bits, bits)
     return np.packbits(((rest[owner] >> place) & 1).astype(np.uint8), bitorder="little")
-
-
-class BitReader:
-    """Reads what :func:`pack_bits` wrote. Raises ValueError beyond the end."""
-
-    def __init__(self, packed: NDArray[np.uint8]) -> None:
-        self.available = 8 * len(packed)
-        self.packed = np.concatenate([packed, np.zeros(8, np.uint8)])
-        self.place = 0
-
-    def read(self, bits: IntArray) -> IntArray:
-        """The next numbers, of so many bits each."""
-        ends = self.place + np.cumsum(bits)
-        if len(ends) and int(ends[-1]) > self.available:
-            raise ValueError("the bits end early")
-        start = ends - bits
-        self.place = int(ends[-1]) if len(ends) else self.place
-        byte, shift = start >> 3, start & 7
-        window = np.zeros(len(bits), np.int64)
-        for k in range(5):  # at most 30 bits, and 7 before them
-            window |= self.packed[byte + k].astype(np.int64) << (8 * k)
-        return (window >> shift) & ((1 << bits) - 1)

@@ -29,10 +29,10 @@ _FITTED_TO = 16_384
 #: The cubic through four nodes: -1/16 each of the two outer ones (Catmull-Rom at the middle).
 _CUBIC = -8
 _PREVIOUS, _OWN = 4, 5
-#: Width classes: half octaves of the expected |error| in steps, from 2^_NARROWEST.
-_NARROWEST, CLASSES = -7, 48
-#: Weight of each sign, and of the constant, where nothing has been learnt.
-_USUAL = 0.25
+#: Width classes: half octaves of the expected |error| in steps, from 2^NARROWEST.
+NARROWEST, CLASSES = -7, 48
+#: Weight of each sign, and of the constant, where nothing has been learnt, as it is coded: 1/4.
+USUAL = 176
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class Seen:
 def classes(width: Numbers) -> NDArray[np.uint8]:
     """The class of each expected width: its exponent and first mantissa bit, read off the number itself."""
     if width.dtype == np.float32:
-        half_octaves = (width.view(np.int32) >> 22) - ((127 + _NARROWEST) << 1)
+        half_octaves = (width.view(np.int32) >> 22) - ((127 + NARROWEST) << 1)
     else:
-        half_octaves = (width.view(np.int64) >> 51) - ((1023 + _NARROWEST) << 1)
+        half_octaves = (width.view(np.int64) >> 51) - ((1023 + NARROWEST) << 1)
     return np.clip(half_octaves, 0, CLASSES - 1, out=half_octaves).astype(np.uint8)
 
 
@@ -114,29 +114,15 @@ def next_error(correction: Numbers, width: Numbers) -> Numbers:
 
 @dataclass
 class Rules:
-    """The rules of a tile, as they are chosen (encoding) or read (decoding).
+    """The rules of a tile, as they are chosen; :mod:`fitter.kernels.tiles` reads them.
 
     written : what stands in the file. The rules before are kept by axis and channel: a stage may say "the
     same again".
     """
 
     written: list[int] = field(default_factory=list[int])
-    place: int = 0
     _predictions: dict[tuple[int, int], list[int]] = field(default_factory=dict[tuple[int, int], list[int]])
     _widths: dict[tuple[int, int], list[int]] = field(default_factory=dict[tuple[int, int], list[int]])
-
-    def read(self, key: tuple[int, int], seen: Seen) -> tuple[list[int], list[int]]:
-        """The weights of the prediction and of the width. Raises ValueError where they end early."""
-        number = self._next(1)[0]
-        if number == _OWN:
-            weights = [byte - 128 for byte in self._next(seen.count)]
-        elif number == _PREVIOUS:
-            weights = self._predictions[key]
-        else:
-            weights = seen.stated(number)
-        own = self._next(1)[0]
-        widths = self._next(1 + len(seen.signs)) if own else self._usual_widths(key, seen)
-        return self._remember(key, weights, widths)
 
     def choose(
         self, key: tuple[int, int], seen: Seen, target: FloatArray, good: NDArray[np.bool_]
@@ -178,20 +164,13 @@ class Rules:
         before = self._widths.get(key)
         if before is not None and len(before) == 1 + len(seen.signs):
             return before
-        return [_coded(_USUAL)] * (1 + len(seen.signs))
+        return [USUAL] * (1 + len(seen.signs))
 
     def _remember(
         self, key: tuple[int, int], weights: list[int], widths: list[int]
     ) -> tuple[list[int], list[int]]:
         self._predictions[key], self._widths[key] = weights, widths
         return weights, widths
-
-    def _next(self, count: int) -> list[int]:
-        found = self.written[self.place : self.place + count]
-        if len(found) < count:
-            raise ValueError("the rules end early")
-        self.place += count
-        return found
 
 
 def _fitted_weights(seen: Seen, target: FloatArray) -> list[int]:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from fitter.compression import entropy
 from fitter.compression.archive import pack_parts, unpack_parts
 from fitter.compression.dither import dither, kinds
-from fitter.compression.entropy import Distribution
-from fitter.compression.rules import Rules, Seen, classes, next_error
+from fitter.compression.rules import NARROWEST, USUAL, Rules, Seen, classes, next_error
 from fitter.compression.stages import Numbers, Stage, neighbours, stages, woven
 
 FloatArray = NDArray[np.float64]
@@ -29,8 +28,12 @@ SINGLE = float(1 << 15)
 #: Dithers that are tried until the mean error of each channel is below _MEAN (steps; the bound is half of
 #: one), and the fewest numbers for which a mean says anything.
 _SEEDS, _MEAN, _FEW = 6, 0.006, 2000
-#: What the tokens stand for that no bits follow.
-_DIRECT = np.array([(k >> 1) ^ -(k & 1) for k in range(entropy.DIRECT)])
+
+_FAULTS = {
+    1: "the rules end early", 2: "a rule that is as before, where none was",
+    3: "a number of a class that has no distribution", 4: "a number that no encoder wrote",
+    5: "the bits end early",
+}  # fmt: skip
 
 #: Gives a channel's predictions, expected widths and corrections, (*nodes) each.
 _Visit = Callable[[Stage, int, Seen], tuple[Numbers, Numbers, Numbers]]
@@ -101,48 +104,29 @@ def decode(data: bytes, good: BoolArray) -> FloatArray:
 
     Raises ValueError where the bytes don't make up a tile.
     """
+    from fitter.kernels import tiles
+
     first, written, table, packed, words = unpack_parts(data, 5)
     if len(first) != 2 + 8 * len(good) or first[:1] not in (b"f", b"d") or len(table) % 4:
         raise ValueError("its parts have other lengths than the tile's")
-    seed, start = first[1], np.frombuffer(first[2:], "<f8").astype(first[:1].decode())
-    rules = Rules(list(written))
-    rows = np.frombuffer(table, np.uint8).reshape(-1, 4)
-    distributions = {int(u): Distribution(int(s), int(m), int(top)) for u, s, m, top in rows}
-    coder = entropy.Decoder(distributions, np.frombuffer(words, "<u4").astype(np.uint32))
-    reader = entropy.BitReader(np.frombuffer(packed, np.uint8))
-    whole = bool(good.all())
-
-    def visit(stage: Stage, k: int, seen: Seen) -> tuple[Numbers, Numbers, Numbers]:
-        weights, widths = rules.read((stage.axis, k), seen)
-        predicted, width = seen.predicted(weights), seen.width(widths)
-        added = dither(predicted.shape, seed, stage.number, k, predicted.dtype)
-        kind = kinds(classes(width), added)
-        here = None if whole else good[stage.target][k]
-        token = coder.read(kind.reshape(-1) if here is None else kind[here])
-        number = _numbers(token, reader, predicted.dtype)
-        if here is None:
-            return predicted, width, np.copysign(1, added) * number.reshape(predicted.shape) - added
-        correction = np.zeros_like(predicted)
-        correction[here] = np.copysign(1, added[here]) * number - added[here]
-        return predicted, width, correction
-
-    return _walk(start, good.shape, visit).astype(np.float64)
+    start = np.frombuffer(first[2:], "<f8").astype(first[:1].decode())
+    shape = np.array(good.shape[1:], np.int64)
+    which, ends, low = entropy.tables(np.frombuffer(table, np.uint8).reshape(-1, 4))
+    found = np.empty(good.shape, start.dtype)
+    fault = tiles.decoded(
+        start, shape, first[1], np.frombuffer(written, np.uint8).astype(np.int64),
+        np.frombuffer(words, "<u4").astype(np.uint32), which, ends, low,
+        np.frombuffer(packed + bytes(8), np.uint8), np.zeros(0, bool) if good.all() else good.reshape(-1),
+        USUAL, NARROWEST, found.reshape(-1),
+    )  # fmt: skip
+    if fault:
+        raise ValueError(_FAULTS[fault])
+    return found.astype(np.float64)
 
 
 def number_type(largest: float) -> np.dtype[Any]:
     """The type that a tile of numbers up to ``largest`` is worked in: single precision where that will do."""
     return np.dtype(np.float32 if largest < SINGLE else np.float64)
-
-
-def _numbers(token: NDArray[np.int32], reader: entropy.BitReader, kind: np.dtype[Any]) -> Numbers:
-    """The corrections that tokens and the bits after them stand for."""
-    found = _DIRECT.astype(kind).take(token, mode="clip")
-    longer = np.flatnonzero(token >= entropy.DIRECT)
-    if len(longer):
-        tokens = token[longer].astype(np.int64)
-        bits = entropy.bits_of(tokens)
-        found[longer] = entropy.numbers(tokens, reader.read(bits), bits)
-    return found
 
 
 def _walk(first: Numbers, shape: tuple[int, ...], visit: _Visit) -> Numbers:

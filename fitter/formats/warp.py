@@ -103,6 +103,12 @@ class Warp:
             setattr(found, name, np.sum([weight * whole[node] for node, weight in share], axis=0)[None])
         return found
 
+    @property
+    def packed(self) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+        """The first density for kernels: flat, its integrals along the rows, flat, and over the rows (H,);
+        W."""
+        return self._density[0].reshape(-1), self._along_x[0].reshape(-1), self._along_y[0], self.shape[1]
+
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where in the uniform square the points (M,) come from, for densities blended as ``blend`` says."""
 

@@ -7,6 +7,7 @@ Its samples are denser where the surface reflects much, and the file says what l
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,14 @@ from fitter import directions
 from fitter.formats.adaptive import Adaptive
 from fitter.formats.warp import Corner, looked_up, lookup
 from fitter.metadata import Quantity
+from fitter.parts import in_parts
+from fitter.sampling.alias import AliasTable
 from fitter.sampling.cells import ChartSlice
 from fitter.sampling.curvature import gain_of_image
+from fitter.sampling.drawing import Kernel
 from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
-from fitter.sampling.majorants import ROUNDING, Point
+from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
 from fitter.sampling.maxima import BilinearMaximum
 
 FloatArray = NDArray[np.float64]
@@ -135,34 +139,47 @@ class AdaptiveField:
         u0, u1, v0, v1 = cells.T
         return np.pi * u1 * (u1 - u0) >= np.sin(0.5 * np.pi * u1**2) * 2 * np.pi * (v1 - v0)
 
-    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
-        u0, u1, v0, v1 = cells.T
-        return u0.copy(), u1 - u0, v0.copy(), v1 - v0
+    def kernel(self, alias: AliasTable, cells: FloatArray, majorant: FloatArray, integral: float) -> Kernel:
+        from fitter.kernels import adaptive
 
-    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
-        u0, width, v0, height = columns
-        u *= width
-        u += u0
-        v *= height
-        v += v0
-        cos_m, sin_m = directions.cosine_and_sine(u * u * (np.pi / 2))
-        cosine, sine = directions.cosine_and_sine((2 * np.pi) * v + (self._turn - np.pi))
-        x, y = sin_m * cosine, sin_m * sine
-        along = x * self._wi[0] + y * self._wi[1] + cos_m * self._wi[2]
-        twice = along + along
-        z = twice * cos_m - self._wi[2]
-        place = self._placed(u, v)
-        value = self._factored(self._clamped, place)
-        # Of f+ cos(theta_o): per unit of solid angle, and per unit of the chart's measure.
-        if self._quantity == "ccbrdf":
-            density = value / np.where(z > 0, z, np.inf)
-        else:
-            density, value = value, value * z
-        value *= (8 * np.pi**2) * along * u * sin_m
-        value[(z <= 0) | (along <= 0)] = np.nan
-        wo = (twice * x - self._wi[0], twice * y - self._wi[1], z)
-        wo = tuple(c if s > 0 else -c for c, s in zip(wo, self._sign, strict=True))
-        return Point(value, wo, density, self._packed(place, z))
+        u0, u1, v0, v1 = cells.T
+        rows = np.stack([u0, u1 - u0, v0, v1 - v0, majorant], axis=1)
+        channels = self._channels.reshape(len(self._channels), -1).T.reshape(-1)
+        clamped, lobes = self._clamped.reshape(-1), self._ndf.reshape(-1)
+        return Kernel(
+            partial(
+                adaptive.fill, *alias.boxes, rows, *self._warp.packed, clamped, self._clamped.shape, channels,
+                lobes, self._ndf.shape, self._factor, self._quantity == "ccbrdf", self._incidence,
+                tuple(map(float, self._sign)), float(self._turn), integral,
+            )
+        )  # fmt: skip
+
+    def integrals(
+        self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        from fitter.kernels.adaptive_cells import integrals
+
+        data = self._clamped if clamped else self._raw
+        found, known = np.empty(len(cells)), np.empty(len(cells), np.int64)
+
+        def some(part: slice) -> None:
+            integrals(
+                cells[part], x, share, *self._warp.packed, data.reshape(-1), data.shape,
+                self._ndf.reshape(-1), self._ndf.shape, self._factor, self._quantity == "ccbrdf",
+                self._incidence, float(self._turn), found[part], known[part],
+            )  # fmt: skip
+
+        in_parts(some, len(cells), AT_ONCE, MANY)
+        return found, known
+
+    @property
+    def _incidence(self) -> tuple[float, float, float]:
+        return float(self._wi[0]), float(self._wi[1]), float(self._wi[2])
+
+    @property
+    def _factor(self) -> float:
+        """What f+, or f+ cos(theta_o), is of the data times D."""
+        return 1 / (4 * self._sigma * (np.pi if self._quantity == "reflectance_factor" else 1.0))
 
     def _half(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a * a * (np.pi / 2), (2 * b - 1) * np.pi + self._turn)
@@ -178,7 +195,7 @@ class AdaptiveField:
         """(M,) what the file's numbers are of: f_r, pi f_r as f_r, or f_r cos(theta_o)."""
         value = looked_up(data, place[0])
         value *= looked_up(self._ndf, place[1])
-        value *= 1 / (4 * self._sigma * (np.pi if self._quantity == "reflectance_factor" else 1.0))
+        value *= self._factor
         return value
 
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:

@@ -39,6 +39,11 @@ class AliasTable:
         share[heavy[-1]] = 1.0
         self._share, self._alias, self._count = share, alias, count
 
+    @property
+    def boxes(self) -> tuple[FloatArray, NDArray[np.int32]]:
+        """Share of each box's own item, and the other one, as kernels want them."""
+        return self._share, self._alias.astype(np.int32)
+
     def choose(self, uniform: FloatArray) -> IndexArray:
         """(m,) items, of uniform numbers (m,) in [0, 1), which are overwritten."""
         uniform *= self._count

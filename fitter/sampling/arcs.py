@@ -14,11 +14,11 @@ _SETTLED = 1e-13
 
 def moments(theta: FloatArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Integrals of (1 - s) and of s times sin cos over theta + s height, s in [0, 1]."""
-    flat, slope = _up_to(np.ones_like(theta), height, np.sin(2 * theta), np.cos(2 * theta))
+    flat, slope = up_to(np.ones_like(theta), height, np.sin(2 * theta), np.cos(2 * theta))
     return height * (flat - slope), height * slope
 
 
-def _up_to(
+def up_to(
     s: FloatArray, height: FloatArray, sine: FloatArray, cosine: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Integrals over s' in [0, s] of sin(2 theta')/2 and of s' sin(2 theta')/2, theta' = theta + s' height.
@@ -46,18 +46,18 @@ def inverted(
     sine, cosine : of 2 theta where the arc begins. Newton's method, each until it settles, from the answer
     that a linear product would have; halving where it does not settle.
     """
-    flat, slope = _up_to(np.ones_like(u), height, sine, cosine)
+    flat, slope = up_to(np.ones_like(u), height, sine, cosine)
     whole = a * flat + (b - a) * slope
     wanted = u * whole
     found = linear(u, a * sine, b * np.maximum(_sine(sine, cosine, 2 * height), 0.0))
     left, s = np.arange(len(u)), found
-    flat, slope = _up_to(s, height, sine, cosine)
+    flat, slope = up_to(s, height, sine, cosine)
     missing = wanted - (a * flat + (b - a) * slope)
     for _ in range(_STEPS):
         rate = 0.5 * (a + (b - a) * s) * _sine(sine, cosine, 2 * height * s)
         s = np.clip(s + missing / np.where(rate > 0, rate, np.inf), 0.0, 1.0)
         found[left] = s
-        flat, slope = _up_to(s, height, sine, cosine)
+        flat, slope = up_to(s, height, sine, cosine)
         missing = wanted - (a * flat + (b - a) * slope)
         still = np.flatnonzero(np.abs(missing) > _SETTLED * whole)
         if not len(still):
@@ -69,7 +69,7 @@ def inverted(
     low, high = np.zeros(len(left)), np.ones(len(left))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        flat, slope = _up_to(middle, height, sine, cosine)
+        flat, slope = up_to(middle, height, sine, cosine)
         below = a * flat + (b - a) * slope < wanted
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     found[left] = 0.5 * (low + high)

@@ -19,6 +19,8 @@ IndexArray = NDArray[np.intp]
 
 #: A coordinate this close (radians) to a measured one is that one: instruments repeat to about 1e-4.
 SAME_ANGLE = 1e-4
+# What counts as inside an axis, radians.
+_SLACK = 1e-7
 # An axis that ends within this many spacings of a natural end (the normal, the horizon, the plane of
 # incidence) holds cell centres: its last value stands up to that end.
 _TO_THE_END = 0.75
@@ -78,7 +80,7 @@ class Axis:
         return (self.fold(x) != x) & (np.mod(x + np.pi, 2 * np.pi) < np.pi)
 
     @cached_property
-    def _buckets(self) -> tuple[float, IndexArray, FloatArray] | None:
+    def buckets(self) -> tuple[float, IndexArray, FloatArray] | None:
         """Buckets per radian, the last node at or below each bucket's start, and the nodes followed by an
         end that nothing passes. No bucket holds more than one node inside. None: there would be too many.
         """
@@ -94,9 +96,9 @@ class Axis:
 
     def below(self, x: FloatArray) -> IndexArray:
         """(M,) the last node at or below each coordinate, 0 before the first; found without bisection."""
-        if self._buckets is None:
+        if self.buckets is None:
             return np.maximum(np.searchsorted(self.nodes, x, side="right") - 1, 0)
-        scale, first, following = self._buckets
+        scale, first, following = self.buckets
         at = x - self.nodes[0]
         at *= scale
         bucket = np.clip(at, 0, len(first) - 1, out=at).astype(np.intp)
@@ -108,7 +110,7 @@ class Axis:
         """Where coordinates (M,), as :meth:`fitter.grid.Grid.locate` returns them, lie."""
         x = self.fold(x)
         low, high = self.extent
-        measured = (x >= low - SAME_ANGLE * 1e-3) & (x <= high + SAME_ANGLE * 1e-3)
+        measured = (x >= low - _SLACK) & (x <= high + _SLACK)
         n = len(self.nodes)
         if n == 1:
             zero = np.zeros(x.shape, np.intp)
@@ -150,6 +152,23 @@ def axes_of(grid: Grid) -> tuple[Axis, ...]:
         Axis(name, np.asarray(nodes, np.float64), grid.periodic.get(name))
         for name, nodes in grid.axes.items()
     )
+
+
+def packed(axes: Sequence[Axis]) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Axes for kernels: nodes (A, n), after the last one that where the axis begins again; the node at the
+    start of each of equal buckets (A, m); and (A, 6) how many nodes and how many buckets, buckets per radian
+    (0: none), extent, period (0: none)."""
+    most = max(len(axis.nodes) for axis in axes) + 1
+    buckets = [(0.0, np.zeros(1, np.intp)) if axis.buckets is None else axis.buckets[:2] for axis in axes]
+    nodes, about = np.full((len(axes), most), np.inf), np.zeros((len(axes), 6))
+    first = np.zeros((len(axes), max(len(some) for _, some in buckets)), np.int64)
+    for k, (axis, (scale, some)) in enumerate(zip(axes, buckets, strict=True)):
+        n, (low, high) = len(axis.nodes), axis.extent
+        nodes[k, :n], first[k, : len(some)] = axis.nodes, some
+        if axis.period is not None:
+            nodes[k, n] = axis.nodes[0] + axis.period
+        about[k] = n, len(some), scale, low - _SLACK, high + _SLACK, axis.period or 0.0
+    return nodes, first, about
 
 
 def fractions_at_ends(axis: Axis, place: Place, half: FloatArray) -> tuple[FloatArray, FloatArray]:

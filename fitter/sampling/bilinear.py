@@ -13,15 +13,17 @@ theta)/2 is largest at 45 degrees if the cell holds it, else at the end that is 
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.kernels import bilinear
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.arcs import inverted, linear, moments
-from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, no_inversion, violated
+from fitter.sampling.arcs import moments
+from fitter.sampling.drawing import Kernel
+from fitter.sampling.envelope import Method, SliceInfo, empty_slice, no_inversion
 from fitter.sampling.refining import worth_halving
 from fitter.sampling.spherical import SphericalField
 
@@ -37,8 +39,6 @@ _ROUNDS = 40
 # Gauss-Legendre points per direction of fields that are powers: to steer the refinement, and in the end.
 _STEER = 2
 _FINAL = 5
-# A uniform number's 53 bits make two: positions in a cell are multiples of 2^-26 and 2^-27 of its sides.
-_BITS = 2.0**26
 
 
 class BilinearEnvelope:
@@ -129,84 +129,32 @@ class BilinearEnvelope:
         theta0, theta1, phi0, phi1 = rectangles[keep].T
         self._theta, self._height = theta0.copy(), theta1 - theta0
         self._phi, self._width = phi0.copy(), phi1 - phi0
-        self._corner = tuple(np.ascontiguousarray(column) for column in corners[keep].T)
+        self._corner = corners[keep].T
         self._steepest = 2 * _steepest(theta0, theta1)
-        self._alias = AliasTable(envelope[keep])
-        self._sine2, self._cosine2 = np.sin(2 * theta0), np.cos(2 * theta0)
-        self._every: FloatArray | None = None
+        every = np.zeros((0, 4, len(theta0)))
         if field.linear and field.count > 1:
-            self._every = field.corners_of_channels(rectangles[keep])
+            every = field.corners_of_channels(rectangles[keep])
+        columns = [
+            self._theta, self._height, self._phi + field.rotation, self._width, self._steepest, *self._corner,
+            np.sin(2 * theta0), np.cos(2 * theta0), mass[keep] / (0.5 * self._width * self._height),
+            *every.reshape(-1, len(theta0)),
+        ]  # fmt: skip
+        self.kernel = Kernel(
+            partial(
+                bilinear.fill, *AliasTable(envelope[keep]).boxes, np.stack(columns, axis=1),
+                *field.powers(rectangles[keep]), 1 + ROUNDING, self._exact, integral,
+            )
+        )  # fmt: skip
+        self.integral, self.acceptance = integral, integral / float(envelope.sum())
         self.info = SliceInfo(
             integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
             blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
-            acceptance=integral / float(envelope.sum()), extrapolated=field.extrapolated, method=method,
+            acceptance=self.acceptance, extrapolated=field.extrapolated, method=method,
         )  # fmt: skip
-
-    def draw(self, rng: np.random.Generator, m: int) -> Candidates:
-        """``m`` candidates in the sample's frame."""
-        cell = self._alias.choose(rng.random(m))
-        t = rng.random(m)
-        t *= _BITS
-        s = np.floor(t)
-        t -= s
-        s *= 1 / _BITS
-        f00, f01, f10, f11 = (corner.take(cell) for corner in self._corner)
-        theta0, height = self._theta.take(cell), self._height.take(cell)
-        s = (
-            inverted(s, f00 + f01, f10 + f11, self._sine2.take(cell), self._cosine2.take(cell), height)
-            if self._exact
-            else linear(s, f00 + f01, f10 + f11)
-        )
-        f10 -= f00
-        f10 *= s
-        f00 += f10
-        f11 -= f01
-        f11 *= s
-        f01 += f11
-        t = linear(t, f00, f01)
-        envelope = f00 + t * (f01 - f00)
-        theta = s * height
-        theta += theta0
-        phi = t * self._width.take(cell)
-        phi += self._phi.take(cell)
-        cosine, sine = directions.cosine_and_sine(theta)
-        # At the horizon a cosine of rounding size may come out on the wrong side.
-        np.maximum(cosine, 0.0, out=cosine)
-        x, y = directions.cosine_and_sine(phi + self._field.rotation)
-        x *= sine
-        y *= sine
-        density = envelope
-        if not self._field.linear:
-            density = self._field.density(theta, phi)
-            if np.any(density > envelope * (1 + ROUNDING)):
-                raise violated()
-        accepted = None
-        if not self._exact:
-            chance = rng.random(m)
-            chance *= self._steepest.take(cell)
-            sine *= 2.0 * cosine
-            if density is not envelope:
-                chance *= envelope
-                sine *= density
-            accepted = chance < sine
-        return Candidates((x, y, cosine), accepted, density, (cell, s, t, theta, phi))
 
     def energy_error(self) -> float:
         """What the integral is known to for interpolation alone, relative."""
         return self._field.energy_error
-
-    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
-        """(m, C) f+ of every channel at candidates' places."""
-        cell, s, t, theta, phi = place
-        if self._every is None:
-            return np.nan_to_num(self._field.values(theta, phi), nan=0.0)
-        found = np.empty((len(cell), len(self._every)))
-        for channel, (f00, f01, f10, f11) in enumerate(self._every):
-            low, high = f00.take(cell), f01.take(cell)
-            low += s * (f10.take(cell) - low)
-            high += s * (f11.take(cell) - high)
-            found[:, channel] = low + t * (high - low)
-        return found
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""

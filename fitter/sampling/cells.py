@@ -8,21 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.envelope import (
-    Candidates,
-    Envelope,
-    Method,
-    SliceInfo,
-    empty_slice,
-    no_inversion,
-    violated,
-)
+from fitter.sampling.envelope import Envelope, Method, SliceInfo, empty_slice, no_inversion
 from fitter.sampling.majorants import Field
 from fitter.sampling.refining import worth_halving
 
@@ -87,56 +79,48 @@ class CellEnvelope:
     def _finish(self, rectangles: FloatArray, majorant: FloatArray) -> None:
         field = self._field
         # On the rim of the measured domain the field breaks off: there the integral needs smaller cells.
-        fine = self._fine = self._rimmed(rectangles)
-        mass = self._quadrature(fine, _FINAL)
-        integral = float(mass.sum())
-        if not integral > 0:
+        self._fine = self._rimmed(rectangles)
+        self._mass = self._quadrature(self._fine, _FINAL)
+        self.integral = float(self._mass.sum())
+        if not self.integral > 0:
             raise empty_slice()
-        coarse, disk, sphere = self._covered(fine)
-        error = float(np.abs(mass - coarse).sum()) / integral
+        keep = majorant > 0
+        self._cells, self._majorant = rectangles[keep], majorant[keep]
+        envelope = self._majorant * field.measures(self._cells)
+        self.acceptance = min(self.integral / float(envelope.sum()), 1.0)
+        self.kernel = field.kernel(AliasTable(envelope), self._cells, self._majorant, self.integral)
+
+    @property
+    def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        return self._info
+
+    @cached_property
+    def _info(self) -> SliceInfo:
+        field = self._field
+        coarse, disk, sphere = self._covered(self._fine)
+        error = float(np.abs(self._mass - coarse).sum()) / self.integral
         clamped = 0.0
         if field.clamps:
-            clamped = 1.0 - float(self._quadrature(fine, _FINAL, clamped=False).sum()) / integral
-        keep = majorant > 0
-        self._sides = tuple(rectangles[keep].T)
-        self._columns = tuple(np.ascontiguousarray(column) for column in field.columns(rectangles[keep]))
-        self._majorant = majorant[keep]
-        envelope = self._majorant * field.measures(rectangles[keep])
-        self._alias = AliasTable(envelope)
-        self.info = SliceInfo(
-            integral=integral, integral_error=error, clamped_share=clamped, coverage=min(disk / np.pi, 1.0),
-            blind=max(1.0 - sphere / (2 * np.pi), 0.0), cells=int(keep.sum()),
-            acceptance=min(integral / float(envelope.sum()), 1.0), extrapolated=field.extrapolated,
+            clamped = 1.0 - float(self._quadrature(self._fine, _FINAL, clamped=False).sum()) / self.integral
+        return SliceInfo(
+            integral=self.integral, integral_error=error, clamped_share=clamped,
+            coverage=min(disk / np.pi, 1.0), blind=max(1.0 - sphere / (2 * np.pi), 0.0),
+            cells=len(self._majorant), acceptance=self.acceptance, extrapolated=field.extrapolated,
             method="rejection",
         )  # fmt: skip
 
     def _rimmed(self, rectangles: FloatArray) -> FloatArray:
         """The cells, those of which a part is measured cut in four again and again."""
         whole: list[FloatArray] = []
+        ends = np.array([-1.0, 1.0])
         for _ in range(_RIM):
-            corners = [self._field.field(rectangles[:, a], rectangles[:, b]) for a in (0, 1) for b in (2, 3)]
-            known = np.isfinite(np.stack(corners)).sum(axis=0)
+            _, known = self._field.integrals(rectangles, ends, ends)
             rim = (known > 0) & (known < 4)
             whole.append(rectangles[~rim])
             tall = np.ones(int(rim.sum()), bool)
             rectangles = _halves(_halves(rectangles[rim], tall), ~np.concatenate([tall, tall]))
         return np.concatenate([*whole, rectangles])
-
-    def draw(self, rng: np.random.Generator, m: int) -> Candidates:
-        """``m`` candidates in the sample's frame."""
-        cell = self._alias.choose(rng.random(m))
-        u, v, chance = rng.random((3, m))
-        found = self._field.draw(tuple(column.take(cell) for column in self._columns), u, v)
-        majorant = self._majorant.take(cell)
-        if np.any(found.field > majorant):
-            raise violated()
-        chance *= majorant
-        accepted = chance < found.field  # False where the field is NaN: not measured there
-        return Candidates(found.wo, accepted, found.density, found.place)
-
-    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
-        """(m, C) f+ of every channel at candidates' places."""
-        return np.nan_to_num(self._field.channels(place), nan=0.0)
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""
@@ -148,19 +132,19 @@ class CellEnvelope:
         cell = rng.integers(0, len(self._majorant), count)
         s, t = rng.random((2, count))
         s, t = (np.where(rng.random(count) < 0.4, np.round(x), x) for x in (s, t))
-        a0, a1, b0, b1 = (side[cell] for side in self._sides)
+        a0, a1, b0, b1 = self._cells[cell].T
         return self._field.field(a0 + s * (a1 - a0), b0 + t * (b1 - b0)), self._majorant[cell]
 
     def energy_error(self) -> float:
         """Relative size of what interpolation adds to the integral, estimated."""
         points = [(a, b, weight) for a, b, weight in self._points(self._fine, _STEER)]
-        return abs(sum(self._field.gain(*some) for some in points)) / self.info.integral
+        return abs(sum(self._field.gain(*some) for some in points)) / self.integral
 
     def _points(
         self, rectangles: FloatArray, points: int
     ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Gauss-Legendre points and weights, the chart's measure included, cell by cell."""
-        x, weight = np.polynomial.legendre.leggauss(points)
+        x, weight = _gauss(points)
         per = max(1, _CHUNK // points**2)
         for start in range(0, len(rectangles), per):
             a0, a1, b0, b1 = (side[:, None, None] for side in rectangles[start : start + per].T)
@@ -172,11 +156,7 @@ class CellEnvelope:
 
     def _quadrature(self, rectangles: FloatArray, points: int, *, clamped: bool = True) -> FloatArray:
         """(K,) integral of the field over each cell."""
-        parts: list[FloatArray] = [np.zeros(0)]
-        for a, b, weight in self._points(rectangles, points):
-            value = np.nan_to_num(self._field.field(a, b, clamped=clamped), nan=0.0)
-            parts.append((value * weight).reshape(-1, points**2).sum(axis=1))
-        return np.concatenate(parts)
+        return self._field.integrals(rectangles, *_gauss(points), clamped=clamped)[0]
 
     def _covered(self, rectangles: FloatArray) -> tuple[FloatArray, float, float]:
         """As :meth:`_quadrature`, by the points that steer; what was measured, on the disk and the sphere."""
@@ -189,6 +169,11 @@ class CellEnvelope:
             disk += float(size @ self._field.directions(a, b)[:, 2])
             parts.append((np.nan_to_num(value, nan=0.0) * weight).reshape(-1, _STEER**2).sum(axis=1))
         return np.concatenate(parts), disk, sphere
+
+
+@cache
+def _gauss(points: int) -> tuple[FloatArray, FloatArray]:
+    return np.polynomial.legendre.leggauss(points)
 
 
 def _halves(rectangles: FloatArray, tall: NDArray[np.bool_]) -> FloatArray:

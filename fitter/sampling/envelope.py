@@ -1,17 +1,17 @@
-"""What the samplers draw candidates from, and what they know about one slice."""
+"""What the samplers draw from, and what they know about one slice."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.errors import FitError, SpecError, TableError
+from fitter.errors import SpecError, TableError
+from fitter.sampling.drawing import Drawable, Kernel
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 Method = Literal["rejection", "inversion"]
 
@@ -46,20 +46,6 @@ class SliceInfo:
 
 
 @dataclass(frozen=True)
-class Candidates:
-    """wo : components of directions, each (m,); of pairs, of wi and then of wo. accepted : (m,), None where
-    all are. density : (m,) weighted f+ in 1/sr, defined where accepted.
-
-    place : where the candidates lie, in the envelope's own terms, for :meth:`Envelope.channels`.
-    """
-
-    wo: tuple[FloatArray, ...]
-    accepted: BoolArray | None
-    density: FloatArray
-    place: tuple[NDArray[Any], ...]
-
-
-@dataclass(frozen=True)
 class JointInfo:
     """Incidences and scattered directions drawn together, as the sampler sees them.
 
@@ -73,31 +59,28 @@ class JointInfo:
     acceptance: float
 
 
-class Drawable(Protocol):
-    """Draws candidates and accepts them with exactly the right probability.
-
-    Not changed by drawing: threads may share one.
-    """
-
-    def draw(self, rng: np.random.Generator, m: int) -> Candidates:
-        """``m`` candidates; the accepted ones are independent and distributed as f+ cos(theta_o)."""
-        ...
-
-    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
-        """(m, C) f+ of every channel in 1/sr at candidates' places."""
-        ...
-
-
 class JointEnvelope(Drawable, Protocol):
-    """Candidates are pairs: ``wo`` of :class:`Candidates` has six components, wi then wo."""
+    """Draws are pairs: six numbers, wi then wo."""
 
     info: JointInfo
 
+    @property
+    def integral(self) -> float:
+        """Of what the draws follow."""
+        ...
 
-class Envelope(Drawable, Protocol):
-    """Candidates for one incidence."""
 
-    info: SliceInfo
+class Envelope(Protocol):
+    """Draws for one incidence."""
+
+    integral: float
+    acceptance: float
+    kernel: Kernel
+
+    @property
+    def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        ...
 
     def energy_error(self) -> float:
         """That of :class:`SliceInfo`, estimated when it is asked for."""
@@ -123,12 +106,4 @@ def no_inversion(what: str) -> SpecError:
         f"{what} can't be drawn from by inversion", code="no-inversion", parameter="method",
         cause="its interpolant has no integral in closed form",
         remedy="leave the method out, or use 'rejection': the draws are exact either way",
-    )  # fmt: skip
-
-
-def violated() -> FitError:
-    """A candidate exceeds its majorant."""
-    return FitError(
-        "the interpolant exceeds its bound: the draws would not be exact", code="majorant-violated",
-        cause="a defect of this library", remedy="report it with the table and the incidence",
     )  # fmt: skip

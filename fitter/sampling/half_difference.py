@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.sampling.axes import Place, Span, corners, multilinear
+from fitter.parts import in_parts
+from fitter.sampling.alias import AliasTable
+from fitter.sampling.axes import Place, corners, multilinear
+from fitter.sampling.axes import packed as packed_axes
 from fitter.sampling.curvature import gain
-from fitter.sampling.majorants import ROUNDING, Point
+from fitter.sampling.drawing import Kernel
+from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
 if TYPE_CHECKING:
@@ -60,6 +65,8 @@ class HalfDifferenceField:
         theta_i, phi_i = directions.spherical_from_vector(part.wi)
         self._rotation = float(phi_i)
         self._wi = directions.vector_from_spherical(theta_i, 0.0)
+        self._incidence = float(self._wi[0]), float(self._wi[2])
+        self._axes = packed_axes(self._table.axes)
         self.clamps = self._table.has_negatives
 
     def edges(self) -> tuple[FloatArray, FloatArray]:
@@ -89,28 +96,20 @@ class HalfDifferenceField:
         theta0, theta1, phi0, phi1 = cells.T
         return theta1 - theta0 >= np.sin(theta1) * (phi1 - phi0)
 
-    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
+    def kernel(self, alias: AliasTable, cells: FloatArray, majorant: FloatArray, integral: float) -> Kernel:
+        from fitter.kernels import half_difference
+
         theta0, theta1, phi0, phi1 = cells.T
         change = np.sin(theta1 - theta0) * np.sin(theta1 + theta0)
-        return np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0.copy(), phi1 - phi0
-
-    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
-        sin2, cos2, change, phi, width = columns
-        # sin^2 and cos^2 drawn together: either alone would lose half the other's digits.
-        change *= u
-        sin2 += change
-        cos2 -= change
-        flat, z = np.sqrt(sin2), np.sqrt(np.maximum(cos2, 0.0))
-        v *= width
-        v += phi
-        cosine, sine = directions.cosine_and_sine(v)
-        x, y = flat * cosine, flat * sine
-        places = self._around(x, y, z)
-        found = self._blend(places, self._shared.weighted.take)
-        if self._rotation != 0:
-            turn = np.cos(self._rotation), np.sin(self._rotation)
-            x, y = turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y
-        return Point(found, (x, y, z), found, packed(places))
+        rows = np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0, phi1 - phi0, majorant
+        return Kernel(
+            partial(
+                half_difference.fill, *alias.boxes, np.stack(rows, axis=1),
+                *self._axes, self._incidence,
+                (float(np.cos(self._rotation)), float(np.sin(self._rotation))), self._shared.weighted,
+                self._table.value, integral,
+            )
+        )  # fmt: skip
 
     def directions(self, a: FloatArray, b: FloatArray) -> FloatArray:
         return directions.vector_from_spherical(a, b + self._rotation)
@@ -177,36 +176,36 @@ class HalfDifferenceField:
            inside in each direction B is largest at one of the 3 x 3 points where the box's sides and those
            lines cross; over a larger box the largest node around it, over all phi_d, bounds B.
         """
-        theta0, theta1, phi0, phi1 = cells.T
-        centre_theta = 0.5 * (theta0 + theta1)
-        centre = directions.vector_from_spherical(centre_theta, 0.5 * (phi0 + phi1))
-        across = np.sin(centre_theta) * np.sin(theta1) * np.sin(0.25 * (phi1 - phi0)) ** 2
-        radius = 2 * np.arcsin(np.sqrt(np.minimum(np.sin(0.25 * (theta1 - theta0)) ** 2 + across, 1.0)))
-        theta_h, _, theta_d, phi_d = directions.half_difference_from_vectors(self._wi, centre)
-        reach_d = 0.5 * radius + _SLACK
-        steepest = theta_d + reach_d
-        safe = steepest < np.pi / 2 - 1e-6
-        reach_h = np.where(safe, 0.5 * radius / np.cos(np.where(safe, steepest, 0.0)), np.pi) + _SLACK
-        least_h, least_d = theta_h - reach_h, theta_d - reach_d
-        safe &= (least_h > 1e-6) & (least_d > 1e-6)
-        turning = 1 / np.tan(np.where(safe, least_h, 1.0)) + 1 / np.tan(np.where(safe, least_d, 1.0))
-        reach_phi = np.where(safe, reach_h * turning * (1 + 1e-9), np.inf)
-        axis_h, axis_d, _ = self._table.axes
-        span_h = Span(axis_h, theta_h - reach_h, theta_h + reach_h)
-        span_d = Span(axis_d, theta_d - reach_d, theta_d + reach_d)
-        most = self._shared.boxes(span_h.first, span_h.last, span_d.first, span_d.last)
-        small = np.flatnonzero(span_h.few & span_d.few)
-        span_h, span_d = span_h.take(small), span_d.take(small)
-        phi_d, reach_phi = phi_d[small], reach_phi[small]
-        window = self._shared.windows.between(phi_d - reach_phi, phi_d + reach_phi)
-        nodes = [[window(i, j) for j in span_d.nodes] for i in span_h.nodes]
-        within = np.zeros(len(small))
-        for s in span_h.fractions:
-            rows = [sum(a * nodes[i][j] for i, a in enumerate(s)) for j in range(3)]
-            for t in span_d.fractions:
-                within = np.maximum(within, sum(b * rows[j] for j, b in enumerate(t)))
-        most[small] = within
-        return most * (1 + ROUNDING)
+        from fitter.kernels.half_difference_cells import bounds
+
+        found = np.empty(len(cells))
+        windows = self._shared.windows
+        nodes, _, about = self._axes
+
+        def some(part: slice) -> None:
+            bounds(
+                cells[part], self._incidence, nodes, about, self._shared.boxes.sparse, windows.around,
+                windows.count, windows.levels, windows.whole, _SLACK, found[part],
+            )  # fmt: skip
+
+        in_parts(some, len(cells), AT_ONCE, MANY)
+        return found * (1 + ROUNDING)
+
+    def integrals(
+        self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        from fitter.kernels.half_difference_cells import integrals
+
+        table = self._shared.weighted
+        if not clamped:
+            table = np.where(self._table.mask, self._table.value @ self._shared.weights, np.nan)
+        found, known = np.empty(len(cells)), np.empty(len(cells), np.int64)
+
+        def some(part: slice) -> None:
+            integrals(cells[part], x, share, *self._axes, self._incidence, table, found[part], known[part])
+
+        in_parts(some, len(cells), AT_ONCE, MANY)
+        return found, known
 
 
 def packed(places: list[Place]) -> tuple[NDArray[Any], ...]:

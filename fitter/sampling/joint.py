@@ -21,8 +21,9 @@ from fitter.errors import TableError
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.arcs import inverted, moments
 from fitter.sampling.axes import Axis
-from fitter.sampling.envelope import Candidates, Drawable, Envelope, JointInfo, Method, empty_slice
+from fitter.sampling.envelope import Envelope, JointInfo, Method, empty_slice
 from fitter.sampling.grid import GridInterpolant
+from fitter.sampling.proposing import Candidates, Proposing
 from fitter.sampling.scattered import Part, ScatteredInterpolant, ScatteredSlice
 from fitter.sampling.spherical import Node, SphericalSlice
 
@@ -67,7 +68,7 @@ class Piece:
         return along * 0.5 * (self.turn[0] + self.turn[1]) * (self.phi[1] - self.phi[0])
 
 
-class BlendedJoint:
+class BlendedJoint(Proposing):
     """Pairs of a table whose slices are blends.
 
     moved : (wi (m, 3), wo (m, 3), pieces (m,)) -> wo where the blend has the member's value.
@@ -80,7 +81,7 @@ class BlendedJoint:
         self._pieces, self._members, self._evaluate, self._weights = pieces, members, evaluate, weights
         self._moved, self._isotropic = moved, isotropic
         self._member = np.array([piece.member for piece in pieces])
-        of = np.array([one.info.integral / one.info.acceptance for one in members])
+        of = np.array([one.integral / one.acceptance for one in members])
         mass = np.array([piece.mass for piece in pieces])
         total = mass * of[self._member]
         self._alias = AliasTable(total)
@@ -89,7 +90,7 @@ class BlendedJoint:
         no_corners = np.zeros((3, 2))
         self._corners = np.stack([no_corners if p.corners is None else p.corners for p in pieces])
         if exact:
-            kept = mass * np.array([one.info.integral for one in members])[self._member]
+            kept = mass * np.array([one.integral for one in members])[self._member]
             error = max(one.info.integral_error for one in members)
             self.info = JointInfo(float(kept.sum()), error, float(kept.sum() / total.sum()))
         else:
@@ -104,9 +105,7 @@ class BlendedJoint:
         order = np.argsort(member, kind="stable")
         edges = np.flatnonzero(np.diff(member[order], prepend=-1))
         for mine in np.split(order, edges[1:]):
-            found = self._members[int(member[mine[0]])].draw(rng, len(mine))
-            wo[mine] = np.stack(found.wo, axis=1)
-            accepted[mine] = True if found.accepted is None else found.accepted
+            wo[mine], accepted[mine] = self._members[int(member[mine[0]])].kernel.candidates(rng, len(mine))
         wo = self._moved(wi, wo, piece)
         if self._isotropic:
             turn = rng.uniform(-np.pi, np.pi, m)
@@ -143,13 +142,12 @@ class BlendedJoint:
         return np.concatenate([point, z[:, None]], axis=1)
 
 
-def estimated(envelope: Drawable, total: float) -> JointInfo:
+def estimated(envelope: Proposing, total: float) -> JointInfo:
     """The integral as the envelope's ``total`` times the accepted share of candidates of a fixed seed."""
     rng = np.random.default_rng(0)
     hits = 0
     for _ in range(_PROBE // _PROBE_PART):
-        accepted = envelope.draw(rng, _PROBE_PART).accepted
-        hits += _PROBE_PART if accepted is None else int(np.count_nonzero(accepted))
+        hits += int(np.count_nonzero(envelope.draw(rng, _PROBE_PART).accepted))
     if hits == 0:
         raise empty_slice()
     share = hits / _PROBE

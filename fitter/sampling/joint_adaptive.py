@@ -21,10 +21,12 @@ from fitter.errors import TableError
 from fitter.formats.warp import lookup, lookup_blend
 from fitter.sampling.adaptive import SLACK, AdaptiveInterpolant, nearest_cosine
 from fitter.sampling.alias import AliasTable
-from fitter.sampling.envelope import Candidates, JointInfo, empty_slice, violated
+from fitter.sampling.drawing import violated
+from fitter.sampling.envelope import empty_slice
 from fitter.sampling.joint import estimated
 from fitter.sampling.majorants import ROUNDING
 from fitter.sampling.maxima import BilinearMaximum
+from fitter.sampling.proposing import Candidates, Proposing
 from fitter.sampling.refining import worth_halving
 
 FloatArray = NDArray[np.float64]
@@ -39,10 +41,8 @@ _CHUNK = 1 << 14
 _SLOWER = 0.1
 
 
-class AdaptiveJoint:
+class AdaptiveJoint(Proposing):
     """Cells halved until the expected acceptance reaches ``acceptance`` or there are 16 ``cells`` of them."""
-
-    info: JointInfo
 
     def __init__(
         self, table: AdaptiveInterpolant, weights: FloatArray, acceptance: float, cells: int

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from fitter import directions
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.axes import Axis, fractions_at_ends, multilinear
-from fitter.sampling.envelope import Candidates, JointInfo, empty_slice, violated
+from fitter.sampling.drawing import violated
+from fitter.sampling.envelope import empty_slice
 from fitter.sampling.grid import GridInterpolant
 from fitter.sampling.half_difference import packed, unpacked
 from fitter.sampling.joint import estimated
 from fitter.sampling.majorants import ROUNDING
+from fitter.sampling.proposing import Candidates, Proposing
 
 FloatArray = NDArray[np.float64]
 
@@ -31,10 +33,8 @@ _MOST = 6_000_000
 _ROUNDS = 2
 
 
-class HalfDifferenceJoint:
+class HalfDifferenceJoint(Proposing):
     """Boxes of the grid, halved in theta_h and theta_d while few candidates are accepted."""
-
-    info: JointInfo
 
     def __init__(self, grid: GridInterpolant, weights: FloatArray, acceptance: float) -> None:
         self._grid = grid

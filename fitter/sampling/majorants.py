@@ -7,30 +7,21 @@ values clamped at 0, its channels weighted. The bounds are theorems, see each ``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.sampling.alias import AliasTable
+from fitter.sampling.drawing import Kernel
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+#: Cells at a time where kernels work on cells, and from how many on in threads.
+AT_ONCE, MANY = 1 << 10, 1 << 12
 # Covers the rounding of the interpolation (a few sums of products) on top of the bound itself.
 ROUNDING = 1e-9
-
-
-@dataclass(frozen=True)
-class Point:
-    """Points (M,) of a chart. field : NaN outside the measured domain. wo : components in the sample's frame.
-
-    density : weighted f+ in 1/sr. place : where they lie, for :meth:`Field.channels`.
-    """
-
-    field: FloatArray
-    wo: tuple[FloatArray, FloatArray, FloatArray]
-    density: FloatArray
-    place: tuple[NDArray[Any], ...]
 
 
 class Field(Protocol):
@@ -47,6 +38,13 @@ class Field(Protocol):
         """(K,) upper bounds of the field on cells (K, 4) = a0, a1, b0, b1; 0 where unmeasured."""
         ...
 
+    def integrals(
+        self, cells: FloatArray, x: FloatArray, share: FloatArray, *, clamped: bool = True
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        """(K,) integral of the field over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and
+        their weights, and at how many of the points it was measured."""
+        ...
+
     def measures(self, cells: FloatArray) -> FloatArray:
         """(K,) the chart's measure of each cell."""
         ...
@@ -59,12 +57,8 @@ class Field(Protocol):
         """(K,) whether a cell is better cut across its first coordinate than across the second."""
         ...
 
-    def columns(self, cells: FloatArray) -> tuple[FloatArray, ...]:
-        """What :meth:`draw` needs to know of each cell, each (K,)."""
-        ...
-
-    def draw(self, columns: tuple[FloatArray, ...], u: FloatArray, v: FloatArray) -> Point:
-        """Points in cells, uniform by the chart's measure for uniform numbers u and v."""
+    def kernel(self, alias: AliasTable, cells: FloatArray, majorant: FloatArray, integral: float) -> Kernel:
+        """Draws from cells (K, 4), chosen by ``alias``, a candidate accepted by field / majorant (K,)."""
         ...
 
     def field(self, a: FloatArray, b: FloatArray, *, clamped: bool = True) -> FloatArray:
@@ -84,7 +78,7 @@ class Field(Protocol):
         ...
 
     def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
-        """What :meth:`channels` needs to know of points, as :class:`Point` has it."""
+        """What :meth:`channels` needs to know of points."""
         ...
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:

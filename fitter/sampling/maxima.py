@@ -3,8 +3,6 @@ over rectangles of bilinear images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,74 +16,67 @@ _LEVELS = 6
 
 
 class BoxMaximum:
-    """Maximum of a table (R, S) over index boxes: any box is covered by four of 2^a x 2^b cells."""
+    """Maximum of a table (R, S) over index boxes: any box is covered by four of 2^a x 2^b cells.
+
+    sparse : (A, B, R, S) maxima over 2^a x 2^b cells from each on.
+    """
 
     def __init__(self, table: FloatArray) -> None:
         rows, columns = table.shape
         levels = (int(np.log2(rows)) + 1, int(np.log2(columns)) + 1)
-        self._sparse = np.zeros((*levels, rows, columns))
-        self._sparse[0, 0] = table
+        self.sparse = np.zeros((*levels, rows, columns))
+        self.sparse[0, 0] = table
         for a in range(levels[0]):
             if a > 0:
                 half = 1 << (a - 1)
-                lower = self._sparse[a - 1, 0]
-                self._sparse[a, 0] = lower
-                self._sparse[a, 0, : rows - half] = np.maximum(lower[: rows - half], lower[half:])
+                lower = self.sparse[a - 1, 0]
+                self.sparse[a, 0] = lower
+                self.sparse[a, 0, : rows - half] = np.maximum(lower[: rows - half], lower[half:])
             for b in range(1, levels[1]):
                 half = 1 << (b - 1)
-                left = self._sparse[a, b - 1]
+                left = self.sparse[a, b - 1]
                 joined = np.maximum(left[:, : columns - half], left[:, half:])
-                self._sparse[a, b] = left
-                self._sparse[a, b, :, : columns - half] = joined
+                self.sparse[a, b] = left
+                self.sparse[a, b, :, : columns - half] = joined
 
     def __call__(self, i0: IndexArray, i1: IndexArray, j0: IndexArray, j1: IndexArray) -> FloatArray:
         """(K,) maxima over rows i0..i1 and columns j0..j1, both included."""
         a = np.log2(i1 - i0 + 1).astype(np.intp)
         b = np.log2(j1 - j0 + 1).astype(np.intp)
         i2, j2 = i1 - (1 << a) + 1, j1 - (1 << b) + 1
-        s = self._sparse
+        s = self.sparse
         return np.maximum(
             np.maximum(s[a, b, i0, j0], s[a, b, i2, j0]), np.maximum(s[a, b, i0, j2], s[a, b, i2, j2])
         )
 
 
 class WindowMaximum:
-    """Maximum of a table (R, S, P) over intervals of its last, periodic axis, at one (row, column)."""
+    """Maximum of a table (R, S, P) over intervals of its last, periodic axis, at one (row, column).
+
+    around : (1, 3 P) the nodes, once before and once after; levels : (L, R, S, P) maxima over 2^k nodes from
+    each on; whole : (R, S) over all nodes. Without levels the whole axis stands for any interval.
+    """
 
     def __init__(self, table: FloatArray, nodes: FloatArray, period: float | None) -> None:
-        self._whole = table.max(axis=2)
-        self._count = len(nodes)
-        self._around: FloatArray | None = None
-        self._levels: list[NDArray[np.float32]] = []
+        self.whole = table.max(axis=2)
+        self.count = len(nodes)
+        self.around = np.zeros((1, 0))
+        levels: list[NDArray[np.float32]] = []
         if period is not None and len(nodes) > 2:
-            self._around = np.concatenate([nodes - period, nodes, nodes + period])
+            self.around = np.concatenate([nodes - period, nodes, nodes + period])[None]
             level = _rounded_up(table)
-            while len(self._levels) < _LEVELS and (1 << len(self._levels)) < self._count:
-                self._levels.append(level)
-                level = np.maximum(level, np.roll(level, -(1 << (len(self._levels) - 1)), axis=2))
+            while len(levels) < _LEVELS and (1 << len(levels)) < self.count:
+                levels.append(level)
+                level = np.maximum(level, np.roll(level, -(1 << (len(levels) - 1)), axis=2))
+        self.levels = np.stack(levels) if levels else np.zeros((0, 1, 1, 1), np.float32)
 
-    def between(self, low: FloatArray, high: FloatArray) -> Callable[[IndexArray, IndexArray], FloatArray]:
-        """A function of (rows, columns), each (K,): maxima over the nodes in and next to [low, high]."""
-        if self._around is None:
-            return lambda row, column: self._whole[row, column]
-        reach = 2 * (self._around[-1] - self._around[0])
-        first = np.searchsorted(self._around, np.maximum(low, -reach), side="right") - 1
-        last = np.searchsorted(self._around, np.minimum(high, reach), side="left")
-        length = last - first + 1
-        use = (first >= 0) & (last < len(self._around)) & (length < min(1 << len(self._levels), self._count))
-        level = np.log2(np.where(use, length, 1)).astype(np.intp)
-        start = first % self._count
-        stop = (last - (1 << level) + 1) % self._count
+    def between(self, low: FloatArray, high: FloatArray, row: IndexArray, column: IndexArray) -> FloatArray:
+        """(K,) maxima over the nodes in and next to [low, high] at rows and columns, each (K,)."""
+        from fitter.kernels.maxima import over_windows
 
-        def largest(row: IndexArray, column: IndexArray) -> FloatArray:
-            found = self._whole[row, column]
-            for k, table in enumerate(self._levels):
-                mine = np.flatnonzero(use & (level == k))
-                i, j = row[mine], column[mine]
-                found[mine] = np.maximum(table[i, j, start[mine]], table[i, j, stop[mine]])
-            return found
-
-        return largest
+        found = np.empty(len(low))
+        over_windows(self.around, self.levels, self.whole, self.count, low, high, row, column, found)
+        return found
 
 
 class BilinearMaximum:

@@ -1,4 +1,4 @@
-"""Draws from an envelope: the accepted ones of a stream of candidates, in their order, on all cores.
+"""Draws in blocks, on all cores.
 
 Draws come in blocks with a random stream of their own each: the same seed gives the same draws on any number
 of cores.
@@ -16,15 +16,12 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.sampling.envelope import Drawable
+from fitter.sampling.drawing import Arrays, Drawable
 
 FloatArray = NDArray[np.float64]
-Arrays = tuple[FloatArray, FloatArray, FloatArray | None]
 
 #: Draws with one random stream.
 BLOCK = 1 << 16
-# Candidates at a time: what is computed of them stays in a core's cache.
-_PART = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -44,8 +41,7 @@ class Drawn:
 
 
 def blocks(
-    envelope: Drawable,
-    integral: float,
+    source: Drawable,
     n: int,
     seed: np.random.SeedSequence,
     channels: int,
@@ -56,7 +52,6 @@ def blocks(
 ) -> Iterator[Drawn]:
     """``n`` draws, ``at_once`` blocks at a time, in order.
 
-    integral : of what the draws follow.
     most : candidates allowed in all: blocks then come one after another, so that each knows what is left.
     each : candidates allowed to a block otherwise. width : numbers of a candidate (6 for pairs wi, wo).
     """
@@ -70,15 +65,14 @@ def blocks(
             some = range(start, min(start + at_once, count))
             whole = _empty(sum(min(BLOCK, n - k * BLOCK) for k in some), channels, width)
             parts = [_part(whole, k - start) for k in some]
-            streams = [np.random.default_rng(_child(seed, k)) for k in some]
+            streams = [_child(seed, k) for k in some]
             if pool is not None:
-                shared = (repeat(one) for one in (each, given_up))
-                done = list(pool.map(_fill, repeat(envelope), repeat(integral), streams, parts, *shared))
+                done = list(pool.map(_fill, repeat(source), streams, parts, repeat(each), repeat(given_up)))
             else:
                 done: list[tuple[int, int, int]] = []
-                for rng, part in zip(streams, parts, strict=True):
+                for stream, part in zip(streams, parts, strict=True):
                     budget = each if most is None else most
-                    done.append(_fill(envelope, integral, rng, part, budget, given_up))
+                    done.append(_fill(source, stream, part, budget, given_up))
                     most = None if most is None else most - done[-1][0]
             yield Drawn(*whole, *(sum(column) for column in zip(*done, strict=True)))
     finally:
@@ -105,42 +99,10 @@ def _empty(n: int, channels: int, width: int) -> Arrays:
 
 
 def _fill(
-    envelope: Drawable, integral: float, rng: np.random.Generator, out: Arrays, budget: int, given_up: Event
+    source: Drawable, seed: np.random.SeedSequence, out: Arrays, budget: int, given_up: Event
 ) -> tuple[int, int, int]:
-    """``(tried, hits, filled)`` of filling the arrays of one block.
-
-    given_up : set once a block has used up its candidates: no other one need go on.
-    """
-    wo, pdf, weight = out
-    tried = hits = filled = 0
-    hopeful = 1.0
-    while filled < len(pdf):
-        if tried >= budget or given_up.is_set():
-            given_up.set()
-            break
-        left = len(pdf) - filled
-        m = min(left if hopeful == 1 else int(left / hopeful) + 16, _PART, budget - tried)
-        found = envelope.draw(rng, m)
-        tried += m
-        good: slice | NDArray[np.intp] = slice(0, min(m, left))
-        count = m
-        if found.accepted is not None:
-            good = np.flatnonzero(found.accepted)
-            count, good = len(good), good[:left]
-        hits += count
-        hopeful = max(hits / tried, 1e-3)
-        density = found.density[good]
-        part = slice(filled, filled + len(density))
-        steep: FloatArray | float = 1.0 / integral
-        for k, column in enumerate(found.wo):
-            one = column[good]
-            wo[part, k] = one
-            if k % 3 == 2:
-                steep = steep * one
-        np.multiply(density, steep, out=pdf[part])
-        if weight is not None:
-            values = envelope.channels(tuple(one[good] for one in found.place))
-            # f cos / pdf = f / f+ x integral: the cosine cancels, so this stays exact at the horizon.
-            np.multiply(values, (integral / density)[:, None], out=weight[part])
-        filled += len(density)
-    return tried, hits, filled
+    """One block. given_up : set once a block has used up its candidates: no other one need go on."""
+    done = source.fill(seed, out, budget, given_up)
+    if done[2] < len(out[1]):
+        given_up.set()
+    return done

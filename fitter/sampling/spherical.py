@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ class SphericalField:
         self._theta, self._phi = part.outgoing
         self._shape = (len(self._theta.nodes), len(self._phi.nodes))
         self._hole = np.where(part.usable, 0.0, np.nan)
-        self.count = len(weights)
+        self.count, self._weights = len(weights), weights
         self.energy_error = sum(node.weight * node.energy_error for node in part.nodes)
         self.linear = all(node.root == 1 for node in part.nodes)
         used = [node.value[part.usable] for node in part.nodes]
@@ -114,8 +115,11 @@ class SphericalField:
         start = self._phi.nodes[0]
         return start + np.mod(phi - start, self._phi.period or 2 * np.pi)
 
-    def _at_corners(self, rectangles: FloatArray, terms: Sequence[Sequence[_Term]]) -> FloatArray:
-        """(len(terms), 4, K) values at (low, low), (low, high), (high, low), (high, high) of theta, phi."""
+    def _ends(
+        self, rectangles: FloatArray
+    ) -> tuple[tuple[Place, Place], list[tuple[FloatArray, FloatArray]]]:
+        """Of cells inside one cell of the grid: its places, and fractions at both ends, of theta and of
+        azimuth."""
         theta0, theta1, phi0, phi1 = rectangles.T
         # The cell's own side of each node, which rounding at its corners would not tell.
         middle = self._wrapped(0.5 * (phi0 + phi1))
@@ -128,6 +132,26 @@ class SphericalField:
         ]
         back = self._phi.mirrored(middle)
         ends[1] = np.where(back, ends[1][1], ends[1][0]), np.where(back, ends[1][0], ends[1][1])
+        return places, ends
+
+    def powers(self, rectangles: FloatArray) -> tuple[NDArray[Any], ...]:
+        """What kernels need to know of cells where the field is not bilinear, see
+        :func:`fitter.kernels.bilinear.fill`."""
+        if self.linear:
+            nothing = np.zeros((0, 4))
+            return nothing.astype(np.int64), nothing, nothing, np.zeros(0), np.zeros(0), np.ones(1)
+        places, ends = self._ends(rectangles)
+        where = np.stack([index for index, _ in corners(places, self._shape)], axis=1)
+        terms = [term for terms in self._channels for term in terms]
+        return (
+            where.astype(np.int64), np.stack([end for pair in ends for end in pair], axis=1),
+            np.stack([term.nodes for term in terms]), np.array([term.power for term in terms]),
+            np.array([term.coefficient for term in terms]), self._weights,
+        )  # fmt: skip
+
+    def _at_corners(self, rectangles: FloatArray, terms: Sequence[Sequence[_Term]]) -> FloatArray:
+        """(len(terms), 4, K) values at (low, low), (low, high), (high, low), (high, high) of theta, phi."""
+        places, ends = self._ends(rectangles)
         found = np.empty((len(terms), 4, len(rectangles)))
         for corner in range(4):
             s, t = ends[0][corner // 2], ends[1][corner % 2]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
 from fitter.errors import FitError, SpecError, TableError
+from fitter.sampling.drawing import Drawable
 from fitter.sampling.envelope import Envelope, JointEnvelope, JointInfo, Method, SliceInfo
 from fitter.sampling.interpolant import interpolant
 from fitter.sampling.rejection import BLOCK, Drawn, blocks
@@ -98,7 +99,7 @@ class TableSampler:
         """(M,) density of wo (M, 3) given ``wi`` (3,) per unit solid angle, 1/sr."""
         envelope = self.envelope(wi, allow_extrapolated=allow_extrapolated)
         wo = np.atleast_2d(np.asarray(wo, np.float64))
-        return envelope.values(wo) @ self._weights * np.maximum(wo[:, 2], 0.0) / envelope.info.integral
+        return envelope.values(wo) @ self._weights * np.maximum(wo[:, 2], 0.0) / envelope.integral
 
     def sample(
         self,
@@ -126,7 +127,7 @@ class TableSampler:
         if several.ndim != 2:
             _check_count(n, MOST_DRAWS)
             envelope, sequence, kept = self._start(wi, seed, allow_extrapolated)
-            drawn = next(self._drawn(envelope, n, sequence, max_evaluations, -(-n // BLOCK)))
+            drawn = next(self._drawn(envelope.kernel, n, sequence, max_evaluations, -(-n // BLOCK)))
             return _samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept)
         _check_count(n, MOST_DRAWS // max(len(several), 1))
         sequence, kept = _sequence(seed)
@@ -136,7 +137,7 @@ class TableSampler:
             left = None if max_evaluations is None else max_evaluations - tried
             envelope = self.envelope(one, allow_extrapolated=allow_extrapolated)
             own = np.random.SeedSequence(sequence.entropy, spawn_key=(*sequence.spawn_key, k))
-            drawn = next(self._drawn(envelope, n, own, left, -(-n // BLOCK)))
+            drawn = next(self._drawn(envelope.kernel, n, own, left, -(-n // BLOCK)))
             tried += drawn.tried
             parts.append(_samples(envelope, drawn, drawn.hits / drawn.tried, drawn.tried, kept))
         return joined(parts, np.repeat(several, n, axis=0))
@@ -186,13 +187,13 @@ class TableSampler:
         self, envelope: Envelope, n: int, sequence: np.random.SeedSequence, kept: int | None, most: int | None
     ) -> Iterator[Samples]:
         tried = hits = 0
-        for drawn in self._drawn(envelope, n, sequence, most, _AT_ONCE):
+        for drawn in self._drawn(envelope.kernel, n, sequence, most, _AT_ONCE):
             tried, hits = tried + drawn.tried, hits + drawn.hits
             yield _samples(envelope, drawn, hits / tried, tried, kept)
 
     def _drawn(
         self,
-        envelope: Envelope | JointEnvelope,
+        source: Drawable,
         n: int,
         sequence: np.random.SeedSequence,
         most: int | None,
@@ -202,8 +203,7 @@ class TableSampler:
         """Parts of ``n`` draws. Raises FitError once ``most`` candidates were not enough."""
         tried = hits = made = 0
         count, each = len(self._weights), int(BLOCK / _HOPELESS)
-        integral = envelope.info.integral
-        for drawn in blocks(envelope, integral, n, sequence, count, most, each, at_once, width):
+        for drawn in blocks(source, n, sequence, count, most, each, at_once, width):
             tried, hits, made = tried + drawn.tried, hits + drawn.hits, made + drawn.filled
             if drawn.filled < len(drawn.wo):
                 raise FitError(
@@ -251,7 +251,7 @@ def _samples(
     n, weight = len(drawn.wo), drawn.weight
     if weight is None:
         # The same number for all: no memory need be written.
-        weight = np.broadcast_to(np.float64(envelope.info.integral), (n, 1))
+        weight = np.broadcast_to(np.float64(envelope.integral), (n, 1))
     return Samples(
         wo=drawn.wo, pdf=drawn.pdf, weight=weight, valid=np.ones(n, bool), is_delta=np.zeros(n, bool),
         acceptance=acceptance, seed=seed, evaluations=tried,

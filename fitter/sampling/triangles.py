@@ -11,14 +11,16 @@ function, a point uniform in it, accepted with probability value / bound.
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.kernels import triangles
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.curvature import gain_of_triangles
-from fitter.sampling.envelope import Candidates, Method, SliceInfo, empty_slice, violated
+from fitter.sampling.drawing import Kernel
+from fitter.sampling.envelope import Method, SliceInfo, empty_slice
 from fitter.sampling.mesh import Mesh, halved, overlay
 from fitter.sampling.refining import worth_halving
 from fitter.sampling.scattered import ScatteredSlice
@@ -30,7 +32,6 @@ _HORIZON = 720
 # Triangles smaller than this (of points on a line) hold nothing.
 _SMALLEST = 1e-16
 _ROUNDS = 40
-_BITS = 2.0**26
 _ROUNDING = 1e-9
 # How far beyond a side, in barycentric coordinates, the search for a triangle takes a point to be in it.
 _SIDE = 4e-9
@@ -67,13 +68,20 @@ class TriangleEnvelope:
                 x[:, order].reshape(-1, 3, *x.shape[2:]) for x in (corners, value, every)
             )
         self._point = _columns(np.concatenate([corners, value[..., None]], axis=2))
-        self._every = _columns(every) if self._channels > 1 else ()
-        self._alias = AliasTable(hats.reshape(-1))
+        items = (*self._point, *(_columns(every) if self._channels > 1 else ()))
+        self.kernel = Kernel(
+            partial(
+                triangles.fill, *AliasTable(hats.reshape(-1)).boxes,
+                np.stack([one for column in items for one in column], axis=1), 1 + _ROUNDING, self._exact,
+                (float(np.cos(part.rotation)), float(np.sin(part.rotation))), integral,
+            )
+        )  # fmt: skip
         drawn = float(hats.sum())
+        self.integral, self.acceptance = integral, min(integral / drawn, 1.0)
         self.info = SliceInfo(
             integral=integral, integral_error=0.0, clamped_share=1.0 - float(raw) / integral,
             coverage=min(region / np.pi, 1.0), blind=max(1.0 - sphere / (2 * np.pi), 0.0),
-            cells=int(keep.sum()), acceptance=min(integral / drawn, 1.0), extrapolated=part.extrapolated,
+            cells=int(keep.sum()), acceptance=self.acceptance, extrapolated=part.extrapolated,
             method=method,
         )  # fmt: skip
 
@@ -86,43 +94,7 @@ class TriangleEnvelope:
             )
             for part in self._slice.parts
         )
-        return abs(found) / self.info.integral
-
-    def draw(self, rng: np.random.Generator, m: int) -> Candidates:
-        """``m`` candidates in the sample's frame."""
-        item = self._alias.choose(rng.random(m))
-        u, v = rng.random((2, m))
-        u *= _BITS
-        w = np.floor(u)
-        u -= w
-        w *= 1 / _BITS
-        low, high = np.minimum(v, w), np.maximum(v, w)
-        if self._exact:
-            # Spacings of three ordered uniform numbers are Dirichlet(1, 1, 1, 1); two added: (2, 1, 1).
-            top = np.maximum(high, u)
-            middle = np.maximum(low, np.minimum(high, u))
-            second, third = top - middle, 1.0 - top
-        else:
-            second, third = high - low, 1.0 - high
-        x, y, density = (_mixed(column, item, second, third) for column in self._point)
-        accepted = None
-        if not self._exact:
-            bound = self._bound.take(item)
-            accepted = u * bound < density
-            if np.any(density > bound):
-                raise violated()
-        # Rounding may put a draw from a sliver at the rim outside the disk, by a part in 1e16.
-        z2 = (1.0 - x) * (1.0 + x)
-        z2 -= y * y
-        z = np.sqrt(np.maximum(z2, 0.0, out=z2), out=z2)
-        turn = self._slice.rotation
-        if turn != 0:
-            x, y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
-        return Candidates((x, y, z), accepted, density, (item, second, third))
-
-    def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:
-        """(m, C) f+ of every channel at candidates' places."""
-        return np.stack([_mixed(column, *place) for column in self._every or self._point[2:]], axis=1)
+        return abs(found) / self.integral
 
     def values(self, wo: FloatArray) -> FloatArray:
         """(M, C) f+ of every channel at directions (M, 3), 0 outside the measured part."""

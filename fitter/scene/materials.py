@@ -207,7 +207,7 @@ class TableMaterial:
             try:
                 self._sampler = TableSampler(self._table)
                 for k, wi in enumerate(self._incidences):
-                    usable[k] = self._sampler.envelope(wi, allow_extrapolated=True).info.integral > 0
+                    usable[k] = self._sampler.envelope(wi, allow_extrapolated=True).integral > 0
             except FitterError as error:
                 usable[:] = False
                 self.note = f"directions are drawn by the cosine only: {error.message}"

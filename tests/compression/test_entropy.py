@@ -7,12 +7,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitter.compression import entropy
-from fitter.compression.entropy import BitReader, Decoder, Distribution, Encoder
+from fitter.compression import entropy, tile
+from fitter.compression.archive import pack_parts, unpack_parts
+from fitter.compression.entropy import Distribution, Encoder
+from fitter.kernels.range_coder import read
 
 NUMBERS = st.lists(
     st.one_of(st.integers(-40, 40), st.integers(-entropy.LARGEST, entropy.LARGEST)), min_size=1, max_size=60
 )
+
+
+def read_back(distributions: dict[int, Distribution], words: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """The tokens of a message, by the decoder's kernels."""
+    rows = np.array([[u, d.scale, d.exponent, d.top] for u, d in distributions.items()], np.uint8)
+    which, ends, first = entropy.tables(rows.reshape(-1, 4))
+    found = np.empty(len(kinds), np.int64)
+    shifts = len(entropy.SHIFTS)
+    assert read(words, ends, first, which[kinds // shifts] * shifts + kinds % shifts, found)
+    return found
 
 
 @given(NUMBERS)
@@ -20,33 +32,33 @@ def test_tokens_and_the_bits_after_them_are_the_numbers(given_: list[int]) -> No
     numbers = np.array(given_, np.int64)
     token, bits, rest = entropy.tokens(numbers)
     assert token.max() < 256
-    assert np.array_equal(entropy.bits_of(token), bits)
-    packed = entropy.pack_bits(rest, bits)
-    reader = BitReader(packed)
-    half = len(numbers) // 2
-    read = np.concatenate([reader.read(bits[:half]), reader.read(bits[half:])])
-    assert np.array_equal(entropy.numbers(token, read, bits), numbers)
-    with pytest.raises(ValueError, match="early"):
-        reader.read(np.array([17]))
+    packed = np.unpackbits(entropy.pack_bits(rest, bits), bitorder="little")
+    ends = np.cumsum(bits)
+    for number, t, count, end in zip(numbers, token, bits, ends, strict=True):
+        tail = int((packed[end - count : end].astype(np.int64) << np.arange(count)).sum())
+        part = (int(t) - entropy.DIRECT) % (1 << entropy.MANTISSA)
+        folded = int(t) if t < entropy.DIRECT else ((1 << entropy.MANTISSA) + part << int(count)) | tail
+        assert (folded >> 1) ^ -(folded & 1) == number
 
 
 @given(groups=st.lists(st.tuples(NUMBERS, st.integers(0, 99)), max_size=5))
 def test_the_coder_gives_back_its_tokens(groups: list[tuple[list[int], int]]) -> None:
     coder = Encoder()
-    tokens, kinds = [], []
+    tokens, kinds = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
     for numbers, seed in groups:
-        tokens.append(entropy.tokens(np.array(numbers, np.int64))[0])
-        kinds.append(np.random.default_rng(seed).integers(0, 4, len(numbers)).astype(np.uint8))
-        coder.write(tokens[-1], kinds[-1])
+        token = entropy.tokens(np.array(numbers, np.int64))[0]
+        kind = np.random.default_rng(seed).integers(0, 4, len(numbers)).astype(np.uint8)
+        coder.write(token, kind)
+        order = np.argsort(kind, kind="stable")  # within a group they stand kind by kind
+        tokens.append(token[order])
+        kinds.append(kind[order])
     distributions, words = coder.finish()
-    decoder = Decoder(distributions, words)
-    for token, kind in zip(tokens, kinds, strict=True):
-        assert np.array_equal(decoder.read(kind), token)
-    with pytest.raises(ValueError, match="no distribution"):
-        decoder.read(np.array([9], np.uint8))
+    assert np.array_equal(read_back(distributions, words, np.concatenate(kinds)), np.concatenate(tokens))
 
 
 def test_every_distribution_can_code_every_token() -> None:
+    """What constriction writes is what the kernel reads, for every exponent and scales from narrow to
+    wide."""
     for scale in range(0, 160, 11):
         for exponent in range(len(entropy.EXPONENTS)):
             for top in (0, 1, 40, 200):
@@ -55,9 +67,18 @@ def test_every_distribution_can_code_every_token() -> None:
                 coder = entropy._stream.queue.RangeEncoder()
                 for model in one.models:
                     coder.encode(token.astype(np.int32), model)
-                decoder = Decoder({0: one}, coder.get_compressed())
-                for shift in range(len(entropy.SHIFTS)):
-                    assert np.array_equal(decoder.read(np.full(top + 1, shift, np.uint8)), token)
+                kinds = np.repeat(np.arange(len(entropy.SHIFTS)), top + 1).astype(np.uint8)
+                found = read_back({0: one}, coder.get_compressed(), kinds)
+                assert np.array_equal(found, np.tile(token, len(entropy.SHIFTS)))
+
+
+def test_data_that_no_encoder_wrote_has_no_token() -> None:
+    which, ends, first = entropy.tables(np.array([[0, 40, 0, 3]], np.uint8))
+    assert list(which[:2]) == [0, -1]
+    found = np.empty(1, np.int64)
+    assert not read(np.full(2, 0xFFFFFFFF, np.uint32), ends, first, np.zeros(1, np.int64), found)
+    with pytest.raises(ValueError, match="exponent"):
+        entropy.tables(np.array([[0, 40, 99, 3]], np.uint8))
 
 
 def test_bits_are_near_the_entropy() -> None:
@@ -73,3 +94,28 @@ def test_bits_are_near_the_entropy() -> None:
         _, count = np.unique(np.rint(drawn), return_counts=True)
         least = -(count * np.log2(count / len(drawn))).sum() / 8
         assert spent < 1.02 * least + 16
+
+
+def test_tiles_that_no_encoder_wrote() -> None:
+    """Any bytes with the right lengths are a tile or a ValueError: the kernel checks what it reads."""
+    rng = np.random.default_rng(4)
+    steps = rng.normal(0, 30, (2, 9, 6, 5)).cumsum(axis=1)
+    data, decoded = tile.encode(steps)
+    good = np.ones(steps.shape, bool)
+    assert np.array_equal(tile.decode(data, good), decoded)
+    parts = unpack_parts(data, 5)
+    failed = 0
+    for trial in range(400):
+        broken = [bytearray(part) for part in parts]
+        which = broken[1 + trial % 4]
+        for place in rng.integers(0, len(which), 1 + trial % 3) if which else ():
+            which[place] = rng.integers(256)
+        if trial % 7 == 0:
+            del which[len(which) // 2 // 4 * 4 :]
+        try:
+            found = tile.decode(pack_parts([bytes(part) for part in broken]), good)
+        except ValueError:
+            failed += 1
+        else:
+            assert found.shape == steps.shape
+    assert 20 < failed < 400

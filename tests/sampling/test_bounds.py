@@ -111,7 +111,7 @@ def test_range_maxima_against_brute_force() -> None:
     low = rng.uniform(-1, np.pi, 300)
     high = low + rng.uniform(0, 2, 300)
     row, column = rng.integers(0, 3, 300), rng.integers(0, 2, 300)
-    found = WindowMaximum(table, nodes, np.pi).between(low, high)(row, column)
+    found = WindowMaximum(table, nodes, np.pi).between(low, high, row, column)
     for k in range(300):
         angle = np.linspace(low[k], high[k], 400)
         spread = np.interp(angle, nodes, table[row[k], column[k]], period=np.pi)

@@ -1,0 +1,80 @@
+"""Filling a block with draws by a compiled kernel.
+
+A block has a random stream of its own, so that the same seed gives the same draws on any number of cores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Event
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.errors import FitError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+#: wo (m, 3), or (m, 6) of wi and wo; pdf (m,); weight (m, C), None of one channel.
+Arrays = tuple[FloatArray, FloatArray, FloatArray | None]
+
+# Candidates of a kernel until it is asked whether to go on.
+_UNTIL_ASKED = 1 << 20
+
+
+class Drawable(Protocol):
+    """Not changed by drawing: threads may share one."""
+
+    def fill(
+        self, seed: np.random.SeedSequence, out: Arrays, budget: int, stop: Event
+    ) -> tuple[int, int, int]:
+        """``(tried, hits, filled)`` of filling the arrays of one block; ``hits`` are the accepted
+        candidates, used or not, ``filled`` the draws made: fewer than asked for where ``budget`` candidates
+        are used up or ``stop`` is set.
+
+        Raises FitError where a candidate exceeds its majorant.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A slice's draws. call : one of the ``fill`` of :mod:`fitter.kernels`, all but its last six arguments
+    given."""
+
+    call: Callable[..., tuple[int, int]]
+
+    def fill(
+        self, seed: np.random.SeedSequence, out: Arrays, budget: int, stop: Event
+    ) -> tuple[int, int, int]:
+        """As :class:`Drawable` has it."""
+        wo, pdf, weight = out
+        weight = np.empty((len(pdf), 0)) if weight is None else weight
+        state = seed.generate_state(4, np.uint64)
+        tried = filled = 0
+        while filled < len(pdf) and tried < budget and not stop.is_set():
+            some = min(budget - tried, _UNTIL_ASKED)
+            more, fresh = self.call(state, False, wo[filled:], pdf[filled:], weight[filled:], some)
+            if more < 0:
+                raise violated()
+            tried, filled = tried + more, filled + fresh
+        return tried, filled, filled
+
+    def candidates(self, rng: np.random.Generator, m: int) -> tuple[FloatArray, BoolArray]:
+        """``(wo (m, 3), accepted (m,))`` of ``m`` candidates."""
+        state = rng.integers(0, 2**64, 4, np.uint64)
+        wo, pdf = np.empty((m, 3)), np.empty(m)
+        tried, _ = self.call(state, True, wo, pdf, np.empty((m, 0)), m)
+        if tried < 0:
+            raise violated()
+        return wo, pdf >= 0
+
+
+def violated() -> FitError:
+    """A candidate exceeds its majorant."""
+    return FitError(
+        "the interpolant exceeds its bound: the draws would not be exact", code="majorant-violated",
+        cause="a defect of this library", remedy="report it with the table and the incidence",
+    )  # fmt: skip
