@@ -1,7 +1,7 @@
 """A model in the adaptive parameterisation, sampled at the same half vectors for every incidence.
 
-The format (:mod:`fitter.formats.adaptive`) blends the places of samples between incidences as well as their
-values. Where the places are the same everywhere only values are blended, and at a fixed half vector m those
+The format (:mod:`fitter.sampling.parameterisation`) blends the places of samples between incidences as well as
+their values. Where the places are the same everywhere only values are blended, and at a fixed half vector m those
 hardly depend on the incidence. Two things more make them smooth: the distribution of normals is the model's
 own, as the database's makers measure it, by retro-reflection (J. Dupuy, W. Jakob 2018),
 
@@ -27,9 +27,9 @@ from fitter import directions
 from fitter.export.fidelity import compared_pairs, seen
 from fitter.export.lobe import lobe_of
 from fitter.export.subject import Subject
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.rgl_writer import Float32Array, mixture
-from fitter.formats.warp import Corner, Warp, lookup
+from fitter.sampling.parameterisation import Adaptive
+from fitter.sampling.warp import Corner, Warp, lookup
 
 FloatArray = NDArray[np.float64]
 

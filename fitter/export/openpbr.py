@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.export.refit import Evaluate, of_ours
-from fitter.formats.warp import lookup
+from fitter.sampling.warp import lookup
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 Each incidence has its own outgoing directions, close together where the surface reflects much. They are
 what the table holds: the file's own samples, mapped to directions by its own warp
-(:mod:`fitter.formats.adaptive`).
+(:mod:`fitter.sampling.parameterisation`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.formats import geometry as geo
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.assemble import Reading, assemble, stated_quantity
 from fitter.formats.read_options import ReadOptions
 from fitter.formats.registry import Format
@@ -23,6 +22,7 @@ from fitter.formats.source import Source
 from fitter.formats.tensor_file import MAGIC, fields
 from fitter.metadata import Channel
 from fitter.sampling.adaptive import AdaptiveInterpolant
+from fitter.sampling.parameterisation import Adaptive
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]

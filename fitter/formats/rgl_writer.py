@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.output import one_line, refuse_in_plane, unwritable, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.tensor_file import tensor_bytes
 from fitter.metadata import Channel
+from fitter.sampling.parameterisation import Adaptive
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]

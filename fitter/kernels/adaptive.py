@@ -41,7 +41,7 @@ def looked_up(image: FloatArray, width: int, at: Corner) -> float:
 def inverse(
     density: FloatArray, along_x: FloatArray, along_y: FloatArray, width: int, x: float, y: float
 ) -> tuple[float, float]:
-    """As :meth:`fitter.formats.warp.Warp.inverse_of_one`, of a point of the unit square, for a flat
+    """As :meth:`fitter.sampling.warp.Warp.inverse_of_one`, of a point of the unit square, for a flat
     density."""
     height = len(along_y)
     across, down = x * (width - 1), y * (height - 1)

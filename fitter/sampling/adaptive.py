@@ -1,7 +1,8 @@
 """The interpolant of a table in an adaptive parameterisation: the file's own, by its own warp.
 
 Its samples are denser where the surface reflects much, and the file says what lies between them
-(:mod:`fitter.formats.adaptive`): f_r cos(theta_o) = data(s(m)) D(u(m)) / (4 sigma(u(wi))), m the half vector.
+(:mod:`fitter.sampling.parameterisation`): f_r cos(theta_o) = data(s(m)) D(u(m)) / (4 sigma(u(wi))), with m the half
+vector.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter import directions
-from fitter.formats.adaptive import Adaptive
-from fitter.formats.warp import Corner, looked_up, lookup
 from fitter.metadata import Quantity
 from fitter.parts import in_parts
 from fitter.sampling.alias import AliasTable
@@ -26,6 +25,8 @@ from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
 from fitter.sampling.maxima import BilinearMaximum
+from fitter.sampling.parameterisation import Adaptive
+from fitter.sampling.warp import Corner, looked_up, lookup
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

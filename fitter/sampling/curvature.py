@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.formats.warp import Corner
 from fitter.sampling.axes import Axis
+from fitter.sampling.warp import Corner
 
 FloatArray = NDArray[np.float64]
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.errors import TableError
-from fitter.formats.warp import lookup, lookup_blend
 from fitter.sampling.adaptive import SLACK, AdaptiveInterpolant, nearest_cosine
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.drawing import violated
@@ -28,6 +27,7 @@ from fitter.sampling.majorants import ROUNDING
 from fitter.sampling.maxima import BilinearMaximum
 from fitter.sampling.proposing import Candidates, Proposing
 from fitter.sampling.refining import worth_halving
+from fitter.sampling.warp import lookup, lookup_blend
 
 FloatArray = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import pytest
 from fitter import directions
 from fitter.errors import TableError
 from fitter.formats import describe, load
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.rgl import adaptive_of, samples
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import fields
+from fitter.sampling.parameterisation import Adaptive
 from tests.formats.samples import rgl_bytes, rgl_fields, tensor_file
 
 MATERIALS = ("aurora_white", "cc_ibiza_sunset", "cm_military_green", "irid_flake_paint1", "vch_silk_blue")

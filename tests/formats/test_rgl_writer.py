@@ -12,13 +12,13 @@ from fitter import directions
 from fitter.errors import TableError
 from fitter.export import subject, target
 from fitter.formats import load, rgl_writer, write
-from fitter.formats.adaptive import Adaptive
 from fitter.formats.rgl import adaptive_of
 from fitter.formats.rgl_writer import lobe_width
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import fields
 from fitter.grid import Grid
 from fitter.metadata import Channel
+from fitter.sampling.parameterisation import Adaptive
 from fitter.table import Table
 
 FloatArray = np.ndarray

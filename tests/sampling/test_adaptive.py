@@ -12,8 +12,8 @@ import pytest
 import fitter
 from fitter.directions import vector_from_spherical
 from fitter.errors import SpecError, TableError
-from fitter.formats.warp import Warp
 from fitter.sampling import TableSampler
+from fitter.sampling.warp import Warp
 from fitter.table import Table
 from tests.formats.samples import rgl_bytes
 from tests.models import cells

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.formats.warp import Warp, lookup, lookup_blend
+from fitter.sampling.warp import Warp, lookup, lookup_blend
 
 FloatArray = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitter.formats.warp import Warp, lookup, lookup_blend
+from fitter.sampling.warp import Warp, lookup, lookup_blend
 
 
 def alone(node: int, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
