@@ -41,11 +41,10 @@ def start() -> None:
     from fitter import _jax
 
     _jax.compile_sooner()
-    folder = _jax.default_cache_folder()
     try:
-        _jax.use_compilation_cache(folder)
+        _jax.use_compilation_cache(_jax.default_cache_folder())
     except OSError as error:
-        _log.warning("compiled programs are not kept: %s can't be written (%s)", folder, error.strerror)
+        _log.warning("compiled programs are not kept: %s can't be made (%s)", error.filename, error.strerror)
 
 
 def work(
