@@ -10,6 +10,7 @@ from pathlib import Path
 from api.client import Client
 from fitter.batch import SERVER, BatchSpec, Fetched
 from fitter.cli.screen import Screen
+from fitter.cli.values import output_folder
 from fitter.documents import file_stem, write_bytes
 from fitter.errors import FitError, SpecError
 from fitter.formats import read_options
@@ -22,13 +23,16 @@ def fetched(client: Client, spec: BatchSpec, folder: Path, screen: Screen) -> di
     """Every table ``server:ID`` of a batch, by that word; its file in ``folder`` is named by its id. What is
     there already is not fetched again.
 
-    Raises SpecError: no such table. FitError: other bytes came than were uploaded.
+    Raises SpecError: no such table, a folder that can't be written. FitError: other bytes came than those
+    uploaded.
     """
     ids = {word: _id(word) for word in spec.tables if word.startswith(SERVER)}
     # All are known before the first one is fetched.
     found = {word: client.table(id) for word, id in ids.items()}
     stems = {word: Path(one.name).stem for word, one in found.items()}
     often = Counter(file_stem(stem).casefold() for stem in stems.values())
+    if found:
+        output_folder(str(folder))
     tables: dict[str, Fetched] = {}
     with screen.progress("fetching tables") as progress:
         for k, (word, one) in enumerate(found.items()):

@@ -2,7 +2,7 @@
 
     python examples/folder_of_tables.py [FOLDER] [--out night]
 
-Without a folder the bundled isotropic tables are taken. Run it again and nothing is done twice; the same from
+Without a folder two of the bundled tables are taken. Run it again and nothing is done twice; the same from
 a shell is `brdf-fitter batch` and `brdf-fitter compare` (docs/batch.md).
 """
 
@@ -40,8 +40,11 @@ def main(words: list[str] | None = None) -> None:
     first = night(tables, "cbrt", given.out / "cbrt")
     with (first / "summary.csv").open(newline="") as file:
         for row in csv.DictReader(file):
-            off = float(row["relative_rmse"])
-            mark = " !" if off > LOOK else ""
+            if row["error"]:
+                print(f"  {row['table']}: {row['status']}, {row['error']} !")
+                continue
+            off = float(row["relative_rmse"] or "nan")  # a table of zeros has none
+            mark = "" if off <= LOOK else " !"
             print(f"  {row['table']}, {row['model']}: {row['status']}, relative rmse {off:.3f}{mark}")
 
     second = night(tables, "log", given.out / "log")

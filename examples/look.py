@@ -39,7 +39,7 @@ def main(words: list[str] | None = None) -> None:
     fit = fitter.fit(table, given.model)
     print(f"{given.model}: {fit.status}, relative rmse {fit.metrics['relative_rmse']:.3f}")
 
-    given.out.mkdir(exist_ok=True)
+    given.out.mkdir(parents=True, exist_ok=True)
     for target, name in TARGETS.items():
         written = export.write(fit, target, given.out / name)
         print(f"{written.path}: {written.convention}")

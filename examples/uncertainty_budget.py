@@ -47,7 +47,9 @@ def main(words: list[str] | None = None) -> None:
     print("".join(f"{word:>14}" for word in ("parameter", "y", *sources, "u", "k", "U")))
     for row in found["rows"]:
         parts = [row["components"][source]["standard_uncertainty"] for source in sources]
-        shares = ["-" if u is None else f"{100 * abs(u / row['estimate']):.2g} %" for u in parts]
+        # Of an estimate of 0 there is no share.
+        y = row["estimate"]
+        shares = ["-" if u is None or not y else f"{100 * abs(u / y):.2g} %" for u in parts]
         text = row["text"]
         cells = (row["label"], text["estimate"], *shares, text["combined"], text["factor"], text["expanded"])
         print("".join(f"{cell:>14}" for cell in cells))

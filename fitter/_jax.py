@@ -28,7 +28,7 @@ def use_compilation_cache(folder: Path) -> None:
     """Keep compiled programs in ``folder`` between processes (half a second a model saved).
 
     Where the environment names another one (JAX_COMPILATION_CACHE_DIR), that one stands: servers and commands
-    of one user then share what they have compiled.
+    of one user then share what they have compiled. Raises OSError, whose ``filename`` is what can't be made.
     """
     folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or folder)
     folder.mkdir(parents=True, exist_ok=True)

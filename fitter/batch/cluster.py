@@ -11,7 +11,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,19 +51,23 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker is sent; ``share`` as of :func:`fitter.batch.working.work`."""
+    """What a worker is sent; ``share`` as of :func:`fitter.batch.working.work`.
+
+    alone : it is sent again, with nothing beside it, since workers died that had it.
+    """
 
     unit: Unit
     key: str
     share: tuple[int, int] | None = None
     parts: _Parts | None = None
+    alone: bool = False
 
     def name(self, folder: Path) -> str:
         """The task's key on the scheduler, which does what has one key once: nothing that writes to another
         folder, or does another share, may have it."""
         place = hashlib.sha256(str(folder).encode()).hexdigest()[:8]
         part = "" if self.share is None else "-{}-of-{}".format(*self.share)
-        return f"batch-{self.key}-{place}{part}"
+        return f"batch-{self.key}-{place}{part}{'-alone' if self.alone else ''}"
 
 
 def ends(
@@ -73,6 +77,7 @@ def ends(
     """Does the units; for each that ends, whether it failed. ``say`` is told how many tasks are under way,
     None where there is no worker, and how much is done of the units that are done in shares."""
     shares: deque[_Task] = deque()
+    suspects: deque[_Task] = deque()
     running: dict[Any, _Task] = {}
     open_units: dict[str, _Parts] = {}
     try:
@@ -82,6 +87,8 @@ def ends(
                 room = max(0, _AHEAD * max(1, workers) - len(running))
                 chosen = [shares.popleft() for _ in range(min(room, len(shares)))]
                 chosen += [_Task(*one) for one in islice(todo, room - len(chosen))]
+                if suspects and not running and not chosen:
+                    chosen.append(suspects.popleft())
                 running.update(_submitted(client, chosen, spec, folder))
                 if not running:
                     return
@@ -90,6 +97,9 @@ def ends(
                 task = running.pop(future)
                 with disk(folder), _scheduler():
                     end = _end(future, task)
+                if end is None:
+                    suspects.append(replace(task, alone=True))
+                    continue
                 if "tables" in end:
                     # Every share reads the file again: as many shares as that may cost, tables at most.
                     bearable = max(_AHEAD * workers, 1, int(_READING / max(end["seconds"], 1e-3)))
@@ -162,13 +172,16 @@ def _joined(parts: _Parts, end: Mapping[str, Any], task: _Task) -> dict[str, Any
     )
 
 
-def _end(future: Any, task: _Task) -> dict[str, Any]:
-    """What the worker says, or that several workers died under the task, one after another."""
+def _end(future: Any, task: _Task) -> dict[str, Any] | None:
+    """What the worker says, or that workers died under the task, one after another; None where they may have
+    died under another one: the scheduler counts a death against all tasks that wait at the worker."""
     from distributed import KilledWorker
 
     try:
         return future.result()
     except KilledWorker as error:
+        if not task.alone:
+            return None
         problem = {
             "code": "batch-worker-died", "message": "every worker that began this table died",
             "file": task.unit.paths[0],

@@ -91,8 +91,7 @@ def _residuals(fitted: Fitted, seed: int) -> svg.Panel:
     )  # fmt: skip
     names = fitted.fit.model.channels
     shown = [names[c] for c in fitted.shown]
-    for (name, colour), c in zip(colours(shown).items(), fitted.shown, strict=True):
-        del name
+    for colour, c in zip(colours(shown).values(), fitted.shown, strict=True):
         panel.dots(half[kept], np.arcsinh(relative[kept, c] / _LINEAR), colour)
         rows = residuals.binned(half, relative[:, c])
         at, lower, middle, upper = (_floats(rows[key]) for key in ("angle", "lower", "median", "upper"))

@@ -54,7 +54,9 @@ class Panel:
             self.parts.append(f'<path class="b" fill="{colour}" d="M{path}z"/>')
 
     def mark(self, at: float) -> None:
-        """A dashed vertical line."""
+        """A dashed vertical line; none where that lies outside: at the edge it would say another number."""
+        if not self.x[0] <= at <= self.x[1]:
+            return
         ((across, _),) = self._places(np.array([at]), np.array([self.y[0]]))
         self.parts.append(
             f'<path class="z" stroke-dasharray="4 3" d="M{across:g} {_TOP}V{HEIGHT - _BOTTOM}"/>'

@@ -10,8 +10,7 @@ def start_numerics(screen: Screen) -> None:
     from fitter._jax import compile_sooner, default_cache_folder, use_compilation_cache
 
     compile_sooner()
-    folder = default_cache_folder()
     try:
-        use_compilation_cache(folder)
+        use_compilation_cache(default_cache_folder())
     except OSError as error:
-        screen.note(f"compiled programs are not kept: {folder} can't be written ({error.strerror})")
+        screen.note(f"compiled programs are not kept: {error.filename} can't be made ({error.strerror})")

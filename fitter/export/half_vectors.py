@@ -1,9 +1,9 @@
 """A model in the adaptive parameterisation, sampled at the same half vectors for every incidence.
 
-The format (:mod:`fitter.sampling.parameterisation`) blends the places of samples between incidences as well as
-their values. Where the places are the same everywhere only values are blended, and at a fixed half vector m those
-hardly depend on the incidence. Two things more make them smooth: the distribution of normals is the model's
-own, as the database's makers measure it, by retro-reflection (J. Dupuy, W. Jakob 2018),
+The format (:mod:`fitter.sampling.parameterisation`) blends the places of samples between incidences as well
+as their values. Where the places are the same everywhere only values are blended, and at a fixed half vector
+m those hardly depend on the incidence. Two things more make them smooth: the distribution of normals is the
+model's own, as the database's makers measure it, by retro-reflection (J. Dupuy, W. Jakob 2018),
 
     D(m) = 4 sigma(m) f_r(m, m) cos(theta_m),
 

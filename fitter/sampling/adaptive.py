@@ -1,8 +1,8 @@
 """The interpolant of a table in an adaptive parameterisation: the file's own, by its own warp.
 
 Its samples are denser where the surface reflects much, and the file says what lies between them
-(:mod:`fitter.sampling.parameterisation`): f_r cos(theta_o) = data(s(m)) D(u(m)) / (4 sigma(u(wi))), with m the half
-vector.
+(:mod:`fitter.sampling.parameterisation`): f_r cos(theta_o) = data(s(m)) D(u(m)) / (4 sigma(u(wi))), with m
+the half vector.
 """
 
 from __future__ import annotations

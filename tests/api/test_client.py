@@ -217,7 +217,10 @@ def test_a_batch_of_a_service_s_tables(
     assert unknown in capsys.readouterr().err
     assert main(["batch", str(spec), "--out", str(tmp_path / "none")]) == 2
     assert "--server" in capsys.readouterr().err
-    assert not list((tmp_path / "none").iterdir())
+    dry = ["--dry-run", "--model", "lambert", "--no-report", "--out", str(tmp_path / "none")]
+    monkeypatch.undo()
+    assert main(["--server", address, "batch", ids[0], *dry]) == 0
+    assert not (tmp_path / "none").exists()
 
 
 def test_what_a_service_says_is_not_trusted_with_files(

@@ -239,6 +239,30 @@ def test_tables_are_found_again_wherever_they_came_from(tmp_path: Path, write_ta
         assert opened.table.hash == fit.table["hash"], path
 
 
+def test_a_mark_outside_is_not_drawn():
+    panel = svg.Panel("t", (0.0, 10.0), (0.0, 1.0), [], [])
+    panel.mark(10.1)
+    assert not panel.parts
+    panel.mark(5.0)
+    assert len(panel.parts) == 1
+
+
+def test_a_table_that_breaks_its_reader_is_no_end_of_the_batch(
+    tmp_path: Path, write_table: Write, monkeypatch: pytest.MonkeyPatch
+):
+    """Counted as one table; when its turn comes its record says what happened."""
+    spec = {"tables": [str(write_table(tmp_path / "t.csv", 0.3))], "models": ["lambert"], "report": False}
+    what = plan(batch_spec(spec))
+
+    def breaks(_unit: object) -> None:
+        raise ZeroDivisionError("not foreseen")
+
+    monkeypatch.setattr("fitter.batch.working._opened", breaks)
+    found = run(what, tmp_path / "out", workers=2)
+    assert (found.done, found.failed) == (1, 1)
+    assert "not foreseen" in summary_rows(tmp_path / "out")[0]["error"]
+
+
 def test_items_of_any_name_have_folders_of_their_own(tmp_path: Path, write_table: Write):
     """Also one named like the file, and names that only differ in case or are taken."""
     items = ("paint", "a", "A", "a-1", "unit.json")

@@ -99,6 +99,44 @@ def test_tasks_of_one_key_are_one_task(tmp_path: Path, write_table: Write) -> No
     assert len({*keys[0], *keys[2]}) == 8
 
 
+_DEADLY = """\
+import os, time
+from fitter.batch import working
+
+def dask_setup(worker):
+    real = working.work
+
+    def work(unit, *rest, **more):
+        if unit["name"] == "t3":
+            time.sleep(0.5)  # others come to wait at this worker
+            os._exit(1)
+        return real(unit, *rest, **more)
+
+    working.work = work
+"""
+
+
+def test_a_table_that_ends_its_workers_fails_alone(tmp_path: Path, write_table: Write) -> None:
+    """Also where the scheduler suspects those that waited at the same workers."""
+    dask = pytest.importorskip("dask")
+
+    for k in range(8):
+        write_table(tmp_path / "tables" / f"t{k}.csv", 0.1 + 0.05 * k)
+    (tmp_path / "deadly.py").write_text(_DEADLY)
+    what = plan(batch_spec({"tables": [str(tmp_path / "tables")], "models": ["lambert"], "report": False}))
+    settings = {
+        "distributed.worker.preload": [str(tmp_path / "deadly.py")],
+        "distributed.scheduler.allowed-failures": 0,
+    }
+    with dask.config.set(settings):
+        found = run(what, tmp_path / "out", workers=2)
+    assert (found.done, found.failed) == (8, 1)
+    rows = rows_without_times(tmp_path / "out")
+    assert [row["table"] for row in rows] == [f"t{k}" for k in range(8)]
+    assert [row["table"] for row in rows if row["error"]] == ["t3"]
+    assert "every worker that began this table died" in rows[3]["error"]
+
+
 def test_one_worker_added_and_one_killed(tmp_path: Path, write_table: Write) -> None:
     """All results once, and the same numbers as in one process left alone."""
     pytest.importorskip("distributed")

@@ -454,3 +454,14 @@ def test_a_bad_table_is_a_result(run: Run, tmp_path: Path) -> None:
     assert ran.status == 0
     assert ran.document["verdict"] == "warning"
     assert run("check", table, "--seed", "-1").status == 2
+
+
+def test_a_folder_of_programs_that_can_not_be_made_is_named(
+    run: Run, plaster: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that the environment names, not the one that would be taken otherwise."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "file" / "programs"))
+    ran = run("fit", plaster, "--model", "lambert")
+    assert ran.status == 0
+    assert f"{tmp_path / 'file' / 'programs'} can't be made (Not a directory)" in ran.err

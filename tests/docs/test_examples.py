@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import runpy
 import sys
@@ -63,3 +64,23 @@ def test_folder_of_tables(
     assert not re.search(r"diffuse_plaster, .* !", said)
     again = run("folder_of_tables.py", monkeypatch, capsys, "--out", str(out))
     assert again.count("0 done") == again.count("2 were there") == 2
+
+
+def test_with_tables_of_one_s_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder in which one table can't be read, and estimates of 0 in a table that states its scale."""
+    tables = tmp_path / "tables"
+    tables.mkdir()
+    rows = [
+        f"{theta_i},{theta_o},{dphi},{0.1 * (0.6 + 0.4 * math.cos(math.radians(theta_o)))}"
+        for theta_i in (10, 30, 50, 70) for theta_o in range(0, 80, 10) for dphi in (0, 90, 180)
+    ]  # fmt: skip
+    head = ["# scale_uncertainty: 0.005", "theta_i_deg,theta_o_deg,dphi_deg,brdf"]
+    (tables / "matte.csv").write_text("\n".join([*head, *rows, ""]))
+    (tables / "broken.csv").write_text("\n".join([*head, *rows, "1,2,3,four", ""]))
+    said = run("folder_of_tables.py", monkeypatch, capsys, str(tables), "--out", str(tmp_path / "night"))
+    assert re.search(r"broken: failed, .*is not a number !", said)
+    assert re.search(r"matte, oren_nayar: converged, relative rmse \S+$", said, re.MULTILINE)
+    said = run("uncertainty_budget.py", monkeypatch, capsys, str(tables / "matte.csv"))
+    assert re.search(r"^ +ks\[value\] +0 +- +-", said, re.MULTILINE)

@@ -72,6 +72,12 @@ def test_a_step_that_the_check_does_not_know(tmp_path: Path, text: str, says: st
         stages(tmp_path / "Dockerfile")
 
 
+def test_a_command_that_needs_a_shell_is_refused() -> None:
+    assert words('--timeout=5s CMD ["a", "b c"]') == ["a", "b c"]
+    with pytest.raises(ValueError, match="substring"):
+        words("a b c")
+
+
 def test_the_composition_is_valid() -> None:
     whole = PyCompose.from_json(json.dumps(services()))
     assert set(whole.to_dict()["services"]) == {"postgres", "upgrade", "scheduler", "worker", "server"}

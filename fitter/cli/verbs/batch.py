@@ -78,21 +78,21 @@ def run(given: argparse.Namespace, screen: Screen, fetch: Fetch | None = None) -
         raise SpecError(
             "there is no folder to write to", code="bad-call", parameter="out", remedy="name one with --out"
         )
-    out = None if given.out is None else output_folder(given.out)
-    with tempfile.TemporaryDirectory() as aside:  # of a dry run
-        fetched = None if fetch is None else fetch(spec, Path(aside) if out is None else out / "fetched")
-        return _planned(batch.plan(spec, fetched), given, out, screen)
+    with tempfile.TemporaryDirectory() as aside:  # of a dry run, which leaves nothing
+        place = Path(aside if given.dry_run else given.out) / "fetched"
+        return _planned(batch.plan(spec, None if fetch is None else fetch(spec, place)), given, screen)
 
 
-def _planned(plan: Plan, given: argparse.Namespace, out: Path | None, screen: Screen) -> Outcome:
+def _planned(plan: Plan, given: argparse.Namespace, screen: Screen) -> Outcome:
     from fitter import batch
     from fitter.cli.numerics import start_numerics
 
     for one in plan.refused:
         screen.note(f"{one['table']}: {one['error']['message']}")
-    if given.dry_run or out is None:
+    if given.dry_run:
         start_numerics(screen)
         return _dry(plan, given.workers, screen)
+    out = output_folder(given.out)
     if given.workers == 1 and given.scheduler is None:
         start_numerics(screen)
     with screen.progress(f"{len(plan.units)} tables") as progress:
