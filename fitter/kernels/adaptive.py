@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fitter.kernels import compiled, part
 from fitter.kernels.angles import cosine_and_sine
 from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, REJECTED, U, V, collected, proposed
+from fitter.kernels.uniform import left, resumed
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def fill(
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
-    r = (state[0], state[1], state[2], state[3])
+    r = resumed(state)
     over = 1.0 / integral
     height, width = shape
     rows, across = lobes
@@ -153,5 +154,5 @@ def fill(
                     j += width * count
                     high = channels[j] + x * (channels[j + count] - channels[j])
                     weight[k, c] = (low + y * (high - low)) * mine
-    state[0], state[1], state[2], state[3] = r
+    left(state, r)
     return tried, filled

@@ -9,11 +9,12 @@ from fitter.kernels import compiled
 from fitter.kernels.adaptive import corner, inverse, looked_up
 from fitter.kernels.angles import cosine_and_sine
 from fitter.kernels.candidates import CHUNK
+from fitter.kernels.quadrature import A, B, spread, summed
 
 FloatArray = NDArray[np.float64]
 
-# Rows of a chunk.
-_U, _V, _SIZE, _FACTOR, _S, _T, _LOBE, _VALUE = 0, 1, 2, 3, 4, 5, 6, 7
+# Rows of a chunk after the points and their weights.
+_FACTOR, _S, _T, _LOBE, _VALUE = 3, 4, 5, 6, 7
 _ROWS = 8
 
 
@@ -47,20 +48,11 @@ def integrals(
     per = CHUNK // (n * n)
     for start in range(0, len(cells), per):
         count = min(per, len(cells) - start)
-        m = count * n * n
-        i = 0
-        for k in range(start, start + count):
-            u, v = 0.5 * (cells[k, 0] + cells[k, 1]), 0.5 * (cells[k, 2] + cells[k, 3])
-            wide, tall = 0.5 * (cells[k, 1] - cells[k, 0]), 0.5 * (cells[k, 3] - cells[k, 2])
-            for p in range(n):
-                for q in range(n):
-                    b[_U * CHUNK + i], b[_V * CHUNK + i] = u + wide * x[p], v + tall * x[q]
-                    b[_SIZE * CHUNK + i] = wide * tall * share[p] * share[q]
-                    i += 1
+        m = spread(cells, start, count, x, share, b)
         for i in range(m):
-            u = b[_U * CHUNK + i]
+            u = b[A * CHUNK + i]
             cos_m, sin_m = cosine_and_sine(u * u * (np.pi / 2))
-            c, s = cosine_and_sine((2 * np.pi) * b[_V * CHUNK + i] + (turn - np.pi))
+            c, s = cosine_and_sine((2 * np.pi) * b[B * CHUNK + i] + (turn - np.pi))
             along = sin_m * (c * wi[0] + s * wi[1]) + cos_m * wi[2]
             z = 2 * along * cos_m - wi[2]
             up = z > 0 and along > 0
@@ -68,7 +60,7 @@ def integrals(
                 (8 * np.pi**2) * along * u * sin_m * (1.0 if cosined else z) if up else np.nan
             )
         for i in range(m):
-            u, v = b[_U * CHUNK + i], b[_V * CHUNK + i]
+            u, v = b[A * CHUNK + i], b[B * CHUNK + i]
             b[_S * CHUNK + i], b[_T * CHUNK + i] = inverse(density, along_x, along_y, columns, u, v)
             b[_LOBE * CHUNK + i] = looked_up(ndf, lobes[1], corner(lobes[0], lobes[1], u, v)) * factor
         for i in range(m):
@@ -76,13 +68,4 @@ def integrals(
             b[_VALUE * CHUNK + i] = (
                 looked_up(data, shape[1], at) * b[_LOBE * CHUNK + i] * b[_FACTOR * CHUNK + i]
             )
-        i = 0
-        for k in range(start, start + count):
-            total, good = 0.0, 0
-            for _ in range(n * n):
-                value = b[_VALUE * CHUNK + i]
-                if value == value:  # not NaN
-                    total += value * b[_SIZE * CHUNK + i]
-                    good += 1
-                i += 1
-            found[k], known[k] = total, good
+        summed(b, _VALUE, start, count, n * n, found, known)

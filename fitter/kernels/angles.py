@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.kernels import compiled, part
+from fitter.kernels import part
 
 FloatArray = NDArray[np.float64]
 
@@ -84,17 +84,3 @@ def arc(y: float, x: float) -> float:
     found = np.pi / 2 - found if across > along else found
     found = np.pi - found if x < 0 else found
     return -found if y < 0 else found
-
-
-@compiled
-def of_angles(angle: FloatArray, found: FloatArray) -> None:
-    """Cosines and sines of angles (M,) into ``found`` (2, M), for the tests."""
-    for k in range(len(angle)):
-        found[0, k], found[1, k] = cosine_and_sine(angle[k])
-
-
-@compiled
-def of_points(y: FloatArray, x: FloatArray, found: FloatArray) -> None:
-    """Arcs of points (M,) into ``found`` (M,), for the tests."""
-    for k in range(len(x)):
-        found[k] = arc(y[k], x[k])

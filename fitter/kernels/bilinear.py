@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fitter.kernels import compiled, part
 from fitter.kernels.angles import cosine_and_sine, short_cosine, short_sine
 from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, REJECTED, U, V, collected, proposed
+from fitter.kernels.uniform import left, resumed
 
 FloatArray = NDArray[np.float64]
 
@@ -158,7 +159,7 @@ def fill(
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
-    r = (state[0], state[1], state[2], state[3])
+    r = resumed(state)
     over = 1.0 / integral
     powered = len(where) > 0
     terms = len(roots) // len(weights)
@@ -220,5 +221,5 @@ def fill(
                         high = cells[item, j + 1] + s * (cells[item, j + 3] - cells[item, j + 1])
                         value = low + t * (high - low)
                     weight[k, c] = value * factor
-    state[0], state[1], state[2], state[3] = r
+    left(state, r)
     return tried, filled

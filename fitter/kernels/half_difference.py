@@ -9,6 +9,7 @@ from fitter.kernels import compiled, part
 from fitter.kernels.angles import cosine_and_sine
 from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, REJECTED, U, V, collected, proposed
 from fitter.kernels.grids import half_difference, located
+from fitter.kernels.uniform import left, resumed
 
 FloatArray = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def fill(
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
-    r = (state[0], state[1], state[2], state[3])
+    r = resumed(state)
     over = 1.0 / integral
     b, items, taken = np.empty(ROWS * CHUNK), np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
     where = np.empty(6 * CHUNK, np.int64)
@@ -149,5 +150,5 @@ def fill(
                 factor = integral / b[DENSITY * CHUNK + i]
                 for c in range(weight.shape[1]):
                     weight[k, c] = channel(channels, c, where, b, i) * factor
-    state[0], state[1], state[2], state[3] = r
+    left(state, r)
     return tried, filled

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from fitter.kernels import compiled
 from fitter.kernels.angles import cosine_and_sine
-from fitter.kernels.candidates import CHANCE, CHUNK, U, V
+from fitter.kernels.candidates import CHUNK
 from fitter.kernels.grids import half_difference
 from fitter.kernels.half_difference import DENSITY, OUT, ROWS, angles, placed, trilinear
 from fitter.kernels.maxima import box, shares, span, window, windowed
+from fitter.kernels.quadrature import WEIGHT, A, B, spread, summed
 
 FloatArray = NDArray[np.float64]
 
@@ -36,36 +37,18 @@ def integrals(
     per = CHUNK // (n * n)
     for start in range(0, len(cells), per):
         count = min(per, len(cells) - start)
-        m = count * n * n
-        i = 0
-        for k in range(start, start + count):
-            theta, phi = 0.5 * (cells[k, 0] + cells[k, 1]), 0.5 * (cells[k, 2] + cells[k, 3])
-            tall, wide = 0.5 * (cells[k, 1] - cells[k, 0]), 0.5 * (cells[k, 3] - cells[k, 2])
-            for p in range(n):
-                for q in range(n):
-                    b[U * CHUNK + i], b[V * CHUNK + i] = theta + tall * x[p], phi + wide * x[q]
-                    b[CHANCE * CHUNK + i] = tall * wide * share[p] * share[q]
-                    i += 1
+        m = spread(cells, start, count, x, share, b)
         for i in range(m):
-            cosine, sine = cosine_and_sine(b[U * CHUNK + i])
-            c, s = cosine_and_sine(b[V * CHUNK + i])
+            cosine, sine = cosine_and_sine(b[A * CHUNK + i])
+            c, s = cosine_and_sine(b[B * CHUNK + i])
             b[OUT * CHUNK + i], b[(OUT + 1) * CHUNK + i] = sine * c, sine * s
             b[(OUT + 2) * CHUNK + i] = cosine
-            b[CHANCE * CHUNK + i] *= sine * cosine
+            b[WEIGHT * CHUNK + i] *= sine * cosine
         angles(about, nodes[2, 0], wi, b, m)
         placed(nodes, first, about, where, b, m)
         for i in range(m):
             b[DENSITY * CHUNK + i] = trilinear(table, where, b, i)
-        i = 0
-        for k in range(start, start + count):
-            total, good = 0.0, 0
-            for _ in range(n * n):
-                value = b[DENSITY * CHUNK + i]
-                if value == value:  # not NaN
-                    total += value * b[CHANCE * CHUNK + i]
-                    good += 1
-                i += 1
-            found[k], known[k] = total, good
+        summed(b, DENSITY, start, count, n * n, found, known)
 
 
 @compiled

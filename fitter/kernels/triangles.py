@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fitter.kernels import compiled
 from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, REJECTED, U, V, collected, proposed
+from fitter.kernels.uniform import left, resumed
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def fill(
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
-    r = (state[0], state[1], state[2], state[3])
+    r = resumed(state)
     over = 1.0 / integral
     b, chosen, taken = np.empty(_ROWS * CHUNK), np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
     tried = filled = 0
@@ -81,5 +82,5 @@ def fill(
                     j = 9 + 3 * c
                     value = items[item, j] + second * items[item, j + 1] + third * items[item, j + 2]
                     weight[k, c] = value * factor
-    state[0], state[1], state[2], state[3] = r
+    left(state, r)
     return tried, filled

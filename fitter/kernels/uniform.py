@@ -18,6 +18,18 @@ _SHIFT_11, _SHIFT_27 = np.uint64(11), np.uint64(27)
 
 
 @part
+def resumed(state: NDArray[np.uint64]) -> State:
+    """A stream where it was left."""
+    return state[0], state[1], state[2], state[3]
+
+
+@part
+def left(state: NDArray[np.uint64], s: State) -> None:
+    """Leave a stream, to be resumed there."""
+    state[0], state[1], state[2], state[3] = s
+
+
+@part
 def following(s: State) -> tuple[np.uint64, State]:
     """The next 64 bits, and the state after them."""
     a, b, c, d = s
@@ -51,9 +63,9 @@ def two(s: State) -> tuple[float, float, State]:
 @compiled
 def words(state: NDArray[np.uint64], count: int) -> NDArray[np.uint64]:
     """The next ``count`` words of a stream (4,), which moves on."""
-    s = (state[0], state[1], state[2], state[3])
+    s = resumed(state)
     found = np.empty(count, np.uint64)
     for k in range(count):
         found[k], s = following(s)
-    state[0], state[1], state[2], state[3] = s
+    left(state, s)
     return found

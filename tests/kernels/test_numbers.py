@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitter.kernels import angles, cache_folder, uniform
+from fitter.kernels import angles, cache_folder, compiled, uniform
 from fitter.kernels.bilinear import halley, halved, linear, up_to
 
 
@@ -27,13 +27,25 @@ def test_random_numbers_are_the_published_ones() -> None:
     assert uniform.words(state, 6).tolist() == first[4:]  # the stream goes on where it was
 
 
+@compiled
+def _of_angles(angle: np.ndarray, found: np.ndarray) -> None:
+    for k in range(len(angle)):
+        found[0, k], found[1, k] = angles.cosine_and_sine(angle[k])
+
+
+@compiled
+def _of_points(y: np.ndarray, x: np.ndarray, found: np.ndarray) -> None:
+    for k in range(len(x)):
+        found[k] = angles.arc(y[k], x[k])
+
+
 def test_sines_and_cosines() -> None:
     rng = np.random.default_rng(0)
     angle = np.concatenate(
         [rng.uniform(-10, 10, 100_000), rng.uniform(-1e-3, 1e-3, 1000), np.arange(-12, 13) * np.pi / 4, [0.0]]
     )
     found = np.empty((2, len(angle)))
-    angles.of_angles(angle, found)
+    _of_angles(angle, found)
     np.testing.assert_allclose(found[0], np.cos(angle), rtol=0, atol=3e-16)
     np.testing.assert_allclose(found[1], np.sin(angle), rtol=0, atol=3e-16)
     short = rng.uniform(-0.26, 0.26, 1000)
@@ -48,9 +60,9 @@ def test_arc_tangents() -> None:
     x[1000:2000] *= 1e-9
     x[2000], y[2001] = 0.0, 0.0
     found = np.empty(len(x))
-    angles.of_points(y, x, found)
+    _of_points(y, x, found)
     np.testing.assert_allclose(found, np.arctan2(y, x), rtol=1e-15, atol=0)
-    angles.of_points(np.zeros(1), np.zeros(1), found[:1])
+    _of_points(np.zeros(1), np.zeros(1), found[:1])
     assert found[0] == 0.0
 
 
