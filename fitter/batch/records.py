@@ -40,20 +40,20 @@ def failed(record: Mapping[str, Any]) -> bool:
 
 def read_record(out: Path, name: str) -> dict[str, Any] | None:
     """The record of the unit of that name; None where there is none that can be read."""
-    path = out / TABLES / name / RECORD
-    try:
-        record = dict(read_document(path, "not-a-batch")) if path.exists() else {}
-    except SpecError:
-        return None  # done again, which mends it
+    record = _read(out / TABLES / name / RECORD)
     return record if record.get("kind") == KIND else None
 
 
 def known(place: Path, key: str) -> dict[str, Any] | None:
     """One of a unit's several tables, where it was done as asked now before the unit was stopped."""
-    path = place / TABLE
-    try:
-        document = read_document(path, "not-a-batch") if path.exists() else {}
-    except SpecError:
-        return None  # done again, which mends it
+    document = _read(place / TABLE)
     table = document.get("table")
     return table if document.get("key") == key and isinstance(table, dict) and "best" in table else None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """What the file holds; nothing where it can't be read: then it is done again, which mends it."""
+    try:
+        return dict(read_document(path, "not-a-batch")) if path.exists() else {}
+    except SpecError:
+        return {}
