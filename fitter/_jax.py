@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -46,6 +47,16 @@ def compile_sooner() -> None:
     said = os.environ.get("XLA_FLAGS", "")
     if jax.__version_info__[:2] == (0, 10) and "xla_cpu_use_fusion_emitters" not in said:
         os.environ["XLA_FLAGS"] = f"{said} --xla_cpu_use_fusion_emitters=false".strip()
+
+
+def start(tell: Callable[[str], None]) -> None:
+    """Get a process of our own ready: programs compile sooner and are kept in the usual folder; ``tell`` is
+    told where they can't be."""
+    compile_sooner()
+    try:
+        use_compilation_cache(default_cache_folder())
+    except OSError as error:
+        tell(f"compiled programs are not kept: {error.filename} can't be made ({error.strerror})")
 
 
 def default_cache_folder() -> Path:

@@ -36,11 +36,7 @@ def start() -> None:
     """Get a worker process ready, once: JAX, and the folder that keeps its compiled programs."""
     from fitter import _jax
 
-    _jax.compile_sooner()
-    try:
-        _jax.use_compilation_cache(_jax.default_cache_folder())
-    except OSError as error:
-        _log.warning("compiled programs are not kept: %s can't be made (%s)", error.filename, error.strerror)
+    _jax.start(_log.warning)
 
 
 def work(
