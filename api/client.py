@@ -1,9 +1,11 @@
 """Client: the service from Python. Tests and ``brdf-fitter --server`` use it.
 
-with Client("http://127.0.0.1:8000") as client:
-    table = client.upload("paint.astm")
-    job = client.wait(client.start("fits", table=table.id, model="ward"))
-    fit = client.fit(job.results[0]["id"])
+    with Client("http://127.0.0.1:8000") as client:
+        table = client.upload("paint.astm")
+        job = client.wait(client.start("fits", table=table.id, model="ward"))
+        fit = client.fit(job.results[0]["id"])
+
+What the service refuses is :class:`Refused`, what it fails to do :class:`ServiceFailed`.
 """
 
 from __future__ import annotations

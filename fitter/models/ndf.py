@@ -72,6 +72,7 @@ def of(spec: ModelSpec, values: Mapping[str, Array]) -> Distribution:
         return Blinn(values["n"])
     if spec.ndf == "gaussian":
         return Gaussian(values["s"])
+    # Ward's lobe, which has no such option, is drawn by Beckmann's distribution.
     return SHAPE_INVARIANT[spec.ndf or "beckmann"](roughness.of(spec.anisotropic, values))
 
 
