@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,7 @@ def show_fit(result: FitResult, screen: Screen) -> None:
     rows: list[list[str]] = []
     for name, estimate in result.parameters.items():
         values, spreads = estimate.value.reshape(-1), estimate.standard_uncertainty.reshape(-1)
+        freedom = estimate.degrees_of_freedom.reshape(-1).tolist()
         for k, (value, spread) in enumerate(zip(values.tolist(), spreads.tolist(), strict=True)):
             channel = channels[k] if estimate.value.ndim else ""
             bound = estimate.at_bound[k] if k < len(estimate.at_bound) else None
@@ -63,11 +65,12 @@ def show_fit(result: FitResult, screen: Screen) -> None:
                     f"{name}[{channel}]" if channel else name,
                     number(value),
                     "-" if spread != spread else number(spread, 2),
+                    "-" if spread != spread else "∞" if math.isinf(freedom[k]) else f"{freedom[k]:.0f}",
                     estimate.unit,
                     (f"at its {bound} bound; " if bound else "") + estimate.description,
                 ]
             )
-    screen.table(("parameter", "estimate", "u (k=1)", "unit", ""), rows)
+    screen.table(("parameter", "estimate", "u (k=1)", "ν", "unit", ""), rows)
     screen.line(f"  cost: {cost_in_words(result)}")
     told = result.cost.get("budget")
     if told is not None:

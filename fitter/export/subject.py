@@ -166,6 +166,7 @@ def only(what: Subject, names: Sequence[str]) -> Subject:
         estimates = {
             name: replace(
                 e, value=of(e.value), standard_uncertainty=of(e.standard_uncertainty),
+                degrees_of_freedom=of(e.degrees_of_freedom),
                 at_bound=tuple(e.at_bound[k] for k in index) if np.ndim(e.value) else e.at_bound,
             )
             for name, e in fit.parameters.items()

@@ -1,7 +1,8 @@
 """Covariance of the estimates: the curvature where the metric is the likelihood, the sandwich elsewhere.
 
 Sandwich (Huber 1967, White 1980): H^-1 (sum of score outer products) H^-1, scores summed over the
-channels of a sample first, since the channels of one sample share its errors.
+channels of a sample first, since the channels of one sample share its errors, and freed of the samples' own
+pull on the fit, see :func:`fitter.fitting.sums.scores`.
 """
 
 from __future__ import annotations
@@ -41,22 +42,46 @@ class Natural:
     """The estimates in the parameters' own units.
 
     labels : flat, "ks[1]" with the channel's position; a bare name when shared.
-    values, at_bound : (Q,). covariance : (Q, Q), NaN where none is stated. unidentified : labels whose
-    values the data leave open.
+    values, at_bound : (Q,). covariance : (Q, Q), NaN where none is stated. degrees : (Q,) of freedom of its
+    variances. unidentified : labels whose values the data leave open.
     """
 
     labels: tuple[tuple[str, int | None], ...]
     values: FloatArray
     covariance: FloatArray
+    degrees: FloatArray
     at_bound: tuple[str | None, ...]
     unidentified: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class Curvature:
+    """What the normal equations tell of an end.
+
+    p : (P,) the vector, with what is on a bound put exactly there. free : (P,) what is not. inverse : (P, P)
+    of the curvature, zero for what is not free. open : (P, m) directions that the data leave open.
+    values, jacobian : (Q,) the parameters in their own units and their derivatives (Q, P).
+    """
+
+    p: FloatArray
+    free: NDArray[np.bool_]
+    inverse: FloatArray
+    open: FloatArray
+    values: FloatArray
+    jacobian: FloatArray
+
+
+def curvature(layout: Layout, p: FloatArray, normal: Normal, c: int) -> Curvature:
+    """The curvature at the vector p of a group of c channels, from its normal equations."""
+    p, matrix, free = settled(layout, p, normal, c)
+    values, jacobian = (np.asarray(a) for a in to_natural(layout, c, p))
+    return Curvature(p, free, *_inverse(matrix, free), values, jacobian)
+
+
 def natural(
-    layout: Layout, p: FloatArray, normal: Normal, scores: Scores, channels: Sequence[int], samples: int,
-    likelihood: bool,
-) -> Natural:  # fmt: skip
-    """Estimates and covariance of one group from the vector p and its normal equations.
+    layout: Layout, curve: Curvature, scores: Scores, channels: Sequence[int], likelihood: bool
+) -> Natural:
+    """Estimates and covariance of one group from the curvature at its end.
 
     scores : of the samples, see :func:`fitter.fitting.sums.scores`.
     likelihood : whether the metric is the likelihood; the sandwich is used where it is not.
@@ -70,10 +95,10 @@ def natural(
         *((layout.free[k], alone if own is None else channels[own]) for k, own in layout.entries),
     ]
 
-    p, matrix, free = settled(layout, p, normal, c)
-    values, jacobian = (np.asarray(a) for a in to_natural(layout, c, p))
-    cov, open_directions = _inverse(matrix, scores.outer, free, None if likelihood else samples)
+    p, free, values, jacobian, open_directions = curve.p, curve.free, curve.values, curve.jacobian, curve.open
+    cov = curve.inverse if likelihood else curve.inverse @ scores.outer @ curve.inverse
     spread = jacobian @ cov @ jacobian.T
+    degrees = np.full(len(labels), np.inf) if likelihood else scores.degrees
     low, high = layout.box
     at_bound: list[str | None] = [
         "lower" if value <= q.lower else "upper" if value >= q.upper else None
@@ -99,7 +124,7 @@ def natural(
     for k, bound in enumerate(at_bound):
         if bound is not None or k in unidentified:
             spread[k, :] = spread[:, k] = np.nan
-    return Natural(tuple(labels), values, spread, tuple(at_bound), tuple(unidentified))
+    return Natural(tuple(labels), values, spread, degrees, tuple(at_bound), tuple(unidentified))
 
 
 def settled(
@@ -176,15 +201,10 @@ def to_natural(layout: Layout, c: int, p: Array) -> tuple[Array, Array]:
     return values, jacobian
 
 
-def _inverse(
-    whole: FloatArray, scores: FloatArray, free: NDArray[np.bool_], samples: int | None
-) -> tuple[FloatArray, FloatArray]:
-    """Covariance (P, P) of the vector, zero for what sits on a bound, and the open directions (P, m).
-
-    ``samples`` : their number, for the sandwich; None for the curvature alone.
-    """
+def _inverse(whole: FloatArray, free: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Pseudo-inverse (P, P) of the curvature, zero for what sits on a bound, and open directions (P, m)."""
     size = len(free)
-    cov = np.zeros((size, size))
+    inverse = np.zeros((size, size))
     where = np.flatnonzero(free)
     matrix = whole[np.ix_(where, where)]
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
@@ -192,12 +212,10 @@ def _inverse(
     scale = np.where(flat, 1.0, scale)
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     weak = values < SINGULAR * max(values.max(initial=0.0), 1e-300)
-    pseudo = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
-    if samples is not None:
-        meat = scores[np.ix_(where, where)] * (samples / max(1, samples - len(where)))
-        pseudo = pseudo @ meat @ pseudo
-    cov[np.ix_(where, where)] = pseudo
+    inverse[np.ix_(where, where)] = (
+        (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
+    )
     directions = np.zeros((size, int(weak.sum())))
     directions[where] = vectors[:, weak] / scale[:, None]
     lengths = np.linalg.norm(directions, axis=0)
-    return cov, directions / np.where(lengths > 0, lengths, 1.0)
+    return inverse, directions / np.where(lengths > 0, lengths, 1.0)

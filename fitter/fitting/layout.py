@@ -78,6 +78,13 @@ class Layout:
         ]
         return np.array(rows, np.intp).reshape(self.channels, len(self.free))
 
+    def positions(self, size: int, channels: int) -> IntArray:
+        """(C, F + M) positions of each channel's own entries in the vector p = [u, inner (M, C) flattened] of
+        that size."""
+        inner = np.arange(len(self.entries), size).reshape(-1, channels).T
+        own = self.where if self.mixed else np.broadcast_to(self.where[0], (channels, len(self.free)))
+        return np.concatenate([own, inner], axis=1)
+
     @property
     def alone(self) -> Layout:
         """The layout of a single channel of the group."""

@@ -107,9 +107,7 @@ def normal_equations(
     sums = functools.reduce(np.add, over_blocks(one, blocks))
     size = len(p)
     matrix, rhs = np.zeros((size, size)), np.zeros(size)
-    for channel in range(c):
-        own = layout.where[channel if layout.mixed else 0]
-        where = np.concatenate([own, t + np.arange(len(inner)) * c + channel])
+    for channel, where in enumerate(layout.positions(size, c)):
         matrix[np.ix_(where, where)] += sums[channel, :-1, :-1]
         rhs[where] -= sums[channel, -1, :-1]
     return Normal(matrix, rhs, float(sums[:, -1, -1].sum()))

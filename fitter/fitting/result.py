@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fitter import models, spec
 from fitter.documents import FITS, finite_or_none, floats, read_document, write_document
 from fitter.errors import SpecError
+from fitter.student import coverage_factor
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -24,19 +25,27 @@ class Estimate:
     """One parameter's estimate y and standard uncertainty u (k = 1): () when shared, (C,) per channel.
 
     ``standard_uncertainty`` is NaN where none can be stated (a fixed parameter, one on a bound, one the
-    table does not identify). ``at_bound`` says "lower" or "upper" per entry, None when inside.
+    table does not identify). ``degrees_of_freedom`` are those of u: infinite where the metric is the
+    likelihood, otherwise about as many as there are samples that tell the parameter.
+    ``at_bound`` says "lower" or "upper" per entry, None when inside.
     """
 
     value: FloatArray
     standard_uncertainty: FloatArray
+    degrees_of_freedom: FloatArray
     unit: str
     description: str
     at_bound: tuple[str | None, ...]
+
+    def expanded_uncertainty(self, level: float = 0.95) -> FloatArray:
+        """U = k u that covers with this probability: k of Student's t with the degrees of freedom of u."""
+        return np.asarray(coverage_factor(self.degrees_of_freedom, level) * self.standard_uncertainty)
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "value": self.value.tolist(),
             "standard_uncertainty": finite_or_none(self.standard_uncertainty),
+            "degrees_of_freedom": finite_or_none(self.degrees_of_freedom),
             "unit": self.unit,
             "description": self.description,
             "at_bound": list(self.at_bound),
@@ -122,8 +131,8 @@ class FitResult:
                 model=models.from_dict(document["model"]),
                 parameters={
                     name: Estimate(
-                        floats(e["value"]), floats(e["standard_uncertainty"]), e["unit"], e["description"],
-                        tuple(e["at_bound"]),
+                        floats(e["value"]), floats(e["standard_uncertainty"]), _degrees(e), e["unit"],
+                        e["description"], tuple(e["at_bound"]),
                     )
                     for name, e in document["parameters"].items()
                 },
@@ -152,6 +161,13 @@ class FitResult:
     def save(self, path: Path | str) -> None:
         """Write the result as JSON, aside and renamed."""
         write_document(self.to_dict(), Path(path))
+
+
+def _degrees(estimate: Mapping[str, Any]) -> FloatArray:
+    """Degrees of freedom of a document, in which infinity is null, and so are those of no u."""
+    u = floats(estimate["standard_uncertainty"])
+    found = floats(estimate.get("degrees_of_freedom", np.full(u.shape, np.nan)))
+    return np.where(np.isnan(found) & np.isfinite(u), np.inf, found)
 
 
 def load_fit(path: Path | str) -> FitResult:

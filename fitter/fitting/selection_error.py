@@ -7,16 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.fitting.covariance import natural
+from fitter.fitting.covariance import Curvature, natural
 from fitter.fitting.layout import Layout
-from fitter.fitting.polish import Polished
 from fitter.fitting.sums import Scores
 
 FloatArray = NDArray[np.float64]
 
 
 def selection_error(
-    layout: Layout, end: Polished, weighted: Scores, alone: Scores, channels: Sequence[int], samples: int,
+    layout: Layout, curve: Curvature, weighted: Scores, alone: Scores, channels: Sequence[int],
     likelihood: bool,
 ) -> FloatArray:  # fmt: skip
     """(Q,) standard deviation that the choice of samples causes, over the estimate's standard error.
@@ -29,9 +28,9 @@ def selection_error(
 
     weighted, alone : sums of (w s)(w s)^T and of w s s^T. NaN where no uncertainty is stated.
     """
-    chosen = Scores(np.asarray(weighted.outer) - np.asarray(alone.outer), weighted.support)
-    whole = natural(layout, end.p, end.normal, alone, channels, samples, likelihood)
-    moved = natural(layout, end.p, end.normal, chosen, channels, samples, False)
+    chosen = weighted._replace(outer=weighted.outer - alone.outer)
+    whole = natural(layout, curve, alone, channels, likelihood)
+    moved = natural(layout, curve, chosen, channels, False)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(np.diagonal(moved.covariance), 0.0) / np.diagonal(whole.covariance)
     return np.sqrt(variance)

@@ -14,7 +14,7 @@ from fitter.errors import FitError
 from fitter.fitting import exchange, metrics, nlopt_solver, reduction, search, separable
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.clock import Clock
-from fitter.fitting.covariance import natural
+from fitter.fitting.covariance import curvature, natural
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import Polished, polish
@@ -113,17 +113,21 @@ def solve(
     else:
         found = _stand_in(places, end, part, scale, len(index), floor)
         some, step = blocks, 1
-    told = scores(places, metric, floor, end.p, some, step)
-    used = count(full)
+    curve = curvature(places, end.p, end.normal, len(group))
+    told = scores(places, metric, floor, end.p, some, curve.inverse, curve.jacobian, step)
     # Of a subset's optimum the curvature knows the measurements' noise, the sandwich the choice of samples
     # too.
-    estimates = natural(places, end.p, end.normal, told, positions, used, data.likelihood and complete)
-    error = search_error(places, end, told.outer, None if complete else 1.0 - used / len(data))
+    estimates = natural(places, curve, told, positions, data.likelihood and complete)
+    error = search_error(places, end, told.outer, None if complete else 1.0 - count(full) / len(data))
     chosen = None
     if not complete:
         root = data.part(group, index, blocks[0].y.shape[0], np.sqrt(scale))
-        alone = scores(places, metric, floor, end.p, [root])
-        chosen = selection_error(places, end, told, alone, positions, used, data.likelihood)
+        # What choosing them does knows no leverage: the samples left out have residuals as large as theirs.
+        plain = np.zeros_like(curve.inverse)
+        weighted, alone = (
+            scores(places, metric, floor, end.p, of, plain, curve.jacobian) for of in (blocks, [root])
+        )
+        chosen = selection_error(places, curve, weighted, alone, positions, data.likelihood)
     clock.lap("check")
     evidence["reduced"] = reduced is not None
     examined = len(index) if reduced is None else len(data)

@@ -31,6 +31,8 @@ from fitter.programs import kept
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
+#: What 1 - h counts for at least: a sample that a term has to itself has neither residual nor room.
+LEAST = 0.05
 
 
 class Errors(NamedTuple):
@@ -75,51 +77,81 @@ def _errors(
 
 
 class Scores(NamedTuple):
-    """Sums over samples, or over a part of them that stands for all: outer products of the samples' scores
-    (P, P), and (M, C) on how many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the
-    weighted derivative x, 1 where one sample carries it all."""
+    """Sums over samples, or over a part of them that stands for all.
+
+    outer : (P, P) outer products of the samples' scores, each residual over 1 - h. support : (M, C) on how
+    many samples each inner entry effectively lives: (sum x^2)^2 / sum x^4 of the weighted derivative x, 1
+    where one sample carries it all. degrees : (Q,) of freedom that a parameter's sandwich has.
+    """
 
     outer: FloatArray
     support: FloatArray
+    degrees: FloatArray
 
 
 def scores(
-    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks,
-    step: int = 1,
+    layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks, inverse: FloatArray,
+    jacobian: FloatArray, step: int = 1,
 ) -> Scores:  # fmt: skip
-    """The scores of the blocks' samples at the vector p; ``step`` : how many samples each stands for."""
+    """The scores of the blocks' samples at the vector p.
+
+    inverse : (P, P) of the curvature. It tells the leverages h: a sample that pulls the fit towards itself
+    has a small residual whatever its error, so that residuals are divided by 1 - h (HC3; MacKinnon and White
+    1985, J. Econom. 29, 305). Where few samples tell a parameter, its sandwich is uncertain itself: a sum of
+    squares with the weights b = a^2 / (1 - h), where a is what an error of the sample does to the parameter,
+    has (sum b)^2 / sum b^2 degrees of freedom (Satterthwaite 1946, Biometrics Bull. 2, 110; for the sandwich
+    Bell and McCaffrey 2002, Surv. Methodol. 28, 169).
+    jacobian : (Q, P) of the parameters in their own units. step : how many samples each stands for.
+    """
     t, c = len(layout.entries), len(floor)
     u, inner = p[:t], p[t:].reshape(-1, c)
+    own = layout.positions(len(p), c)
+    bread = inverse[own[:, :, None], own[:, None, :]]  # (C, F + M, F + M)
+    influence = (jacobian @ inverse)[:, own].swapaxes(0, 1)  # (C, Q, F + M)
 
     def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)
-        found = _scores(layout, metric, u, inner, floor, arrays(block), chunks)
+        found = _scores(layout, metric, u, inner, floor, bread, influence, arrays(block), chunks)
         return [np.asarray(part) for part in found]
 
-    outer, second, fourth = (
+    outer, (x2, x4), (b, b2) = (
         functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
     )  # fmt: skip
-    return Scores(step * outer, step * second**2 / np.maximum(fourth, 1e-300))
+    return Scores(step * outer, _effective(x2, x4, step), _effective(b, b2, step))
+
+
+def _effective(first: FloatArray, second: FloatArray, step: int) -> FloatArray:
+    """How many equal parts make a sum as even as this one, from the sums of parts and of their squares."""
+    return step * first**2 / np.maximum(second, 1e-300)
 
 
 @kept("layout", "metric")
 def _scores(
-    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
-) -> tuple[Array, Array, Array]:
-    (m, c), own = inner.shape, len(layout.free)
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, bread: Array, influence: Array,
+    block: Arrays, chunks: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    (m, c), own, q = inner.shape, len(layout.free), influence.shape[1]
 
     def step(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         pair, _, goal, w = chunk(block, index)
         f, columns = values_and_columns(layout, u, inner, pair)
         value, slope = residual(metric, f.T, goal.T, w.T, floor)
         x = columns(slope)  # (C, F + M, n)
-        flat = of_entries(layout, x * value[:, None, :])
+        room = jnp.maximum(1.0 - jnp.einsum("cin,cij,cjn->cn", x, bread, x), LEAST)
+        flat = of_entries(layout, x * (value / room)[:, None, :])
         energy = jnp.square(x[:, own:])
         moments = (energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T)
-        return carry[0] + flat @ flat.T, carry[1] + moments[0], carry[2] + moments[1]
+
+        def of_channel(total: Array, here: tuple[Array, Array, Array]) -> tuple[Array, None]:
+            return total + jnp.square(here[0] @ here[1]) / here[2], None
+
+        # By channel: of many channels the influences of all at once would not fit in memory.
+        b, _ = jax.lax.scan(of_channel, jnp.zeros((q, CHUNK)), (influence, x, room))
+        spread = jnp.stack([b.sum(axis=1), jnp.square(b).sum(axis=1)])
+        return carry[0] + flat @ flat.T, carry[1] + jnp.stack(moments), carry[2] + spread
 
     size = len(layout.entries) + m * c
-    zero = (jnp.zeros((size, size)), jnp.zeros((m, c)), jnp.zeros((m, c)))
+    zero = (jnp.zeros((size, size)), jnp.zeros((2, m, c)), jnp.zeros((2, q)))
     return jax.lax.fori_loop(0, chunks, step, zero)
 
 

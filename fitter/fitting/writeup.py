@@ -63,17 +63,19 @@ def write_up(
     for p in table_rows:
         if p.name in request.fixed:
             value = np.asarray(request.fixed[p.name])
-            parameters[p.name] = Estimate(value, np.asarray(np.nan), p.unit, p.description, (None,))
+            none = np.asarray(np.nan)
+            parameters[p.name] = Estimate(value, none, none, p.unit, p.description, (None,))
             continue
         common = (p.name, None) in slots
         keys = [(p.name, None)] if common else [(p.name, c) for c in data.channels]
         found = [slots[key] for key in keys]
         value = np.array([solved[g].estimates.values[k] for g, k in found])
         u = np.sqrt(np.array([solved[g].estimates.covariance[k, k] for g, k in found]))
+        freedom = np.array([solved[g].estimates.degrees[k] for g, k in found])
         ends = tuple(solved[g].estimates.at_bound[k] for g, k in found)
         scalar = not p.linear and (common or len(names) == 1)
-        y, uncertainty = (np.asarray(a[0] if scalar else a) for a in (value, u))
-        parameters[p.name] = Estimate(y, uncertainty, p.unit, p.description, ends)
+        y, u, freedom = (np.asarray(a[0] if scalar else a) for a in (value, u, freedom))
+        parameters[p.name] = Estimate(y, u, freedom, p.unit, p.description, ends)
         labels += [p.name if scalar or c is None else f"{p.name}[{table.channels[c].name}]" for _, c in keys]
         rows += found
     choices = [solved[g].selection_error for g, _ in rows]

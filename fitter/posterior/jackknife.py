@@ -17,7 +17,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from fitter.compression import CompressedTable
 from fitter.documents import finite_or_none
@@ -32,6 +31,7 @@ from fitter.fitting.sums import scan_sums
 from fitter.fitting.usable import usable
 from fitter.posterior.correlated import correlated_outer
 from fitter.selection.blocks import blocks
+from fitter.student import coverage_factor
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -129,13 +129,12 @@ def robust(table: Table | CompressedTable, fit: FitResult) -> Robust:
             if scans and np.isfinite(one.most[k]) and one.most[k] > RESTS:
                 rests[name] = (int(one.which[k]), float(one.most[k]))
     freedom = float(scans - 1) if scans else math.inf
-    tail = 0.5 * (1.0 + LEVEL)
     return Robust(
         labels=fit.labels,
         standard_uncertainty={name: spread.get(name, math.nan) for name in fit.labels},
         covariance=covariance,
         degrees_of_freedom=freedom,
-        coverage_factor=float(stats.t.ppf(tail, freedom) if scans else stats.norm.ppf(tail)),
+        coverage_factor=float(coverage_factor(freedom, LEVEL)),
         method="correlated" if not scans else "larger" if scans < ENOUGH_SCANS else "jackknife",
         scans=scans,
         words=dealt.words.partition(" in ")[0],

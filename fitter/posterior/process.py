@@ -18,10 +18,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize, special, stats
+from scipy import linalg, optimize, special
 from scipy.spatial import KDTree
 
 from fitter.posterior.correlated import distances, matern
+from fitter.student import coverage_factor
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -223,7 +224,7 @@ def _reach(f: FloatArray, level: float, misses: Misses | None, scans: int | None
         return reach
     # Left-out scans are farther from the others than those between measured ones: what they missed by may
     # widen a band, and not narrow it. Scans miss as a whole: they are the evidence of how far, and few.
-    return np.maximum(reach, normal) * (float(stats.t.ppf(upper, max(scans - 1, 1))) / normal)
+    return np.maximum(reach, normal) * (float(coverage_factor(max(scans - 1, 1), level)) / normal)
 
 
 def interval_score(lower: FloatArray, upper: FloatArray, y: FloatArray) -> float:

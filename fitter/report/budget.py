@@ -19,6 +19,7 @@ from fitter.models.labelled import place
 from fitter.report.fitted import Fitted, display
 from fitter.report.parameters import scale_sensitivity
 from fitter.report.rounding import at_place_of, rounded, significant
+from fitter.student import coverage_factor, effective_degrees
 
 if TYPE_CHECKING:
     from fitter.posterior.jackknife import Robust
@@ -72,11 +73,15 @@ def budget(fitted: Fitted, robust: Robust | None, offsets: Mapping[str, FloatArr
         parts[name] = np.outer(slopes[name], slopes[name]) * float(u) ** 2 if known and u else None
     parts["discrepancy"] = None if robust is None else _discrepancy(noise, robust)
     freedom = {
-        # One value of each sample and channel, less the free parameters.
+        # One value of each sample and channel, less the free parameters; a parameter may be told by fewer.
         "noise": float(max(1, len(fitted.index) * len(fitted.columns) - q)),
         "discrepancy": math.inf if robust is None else robust.degrees_of_freedom,
     }
-    rows = [_row(fitted, k, label, parts, slopes, freedom) for k, label in enumerate(labels)]
+    own = _degrees(fitted)
+    rows = [
+        _row(fitted, k, label, parts, slopes, freedom | {"noise": min(freedom["noise"], own[label])})
+        for k, label in enumerate(labels)
+    ]
     found = Budget(labels, parts, {})
     section = {
         "level": LEVEL,
@@ -101,6 +106,17 @@ def _own_unit(name: str, u: float | None) -> float | None:
     if u is None:
         return None
     return 100.0 * u if name == "scale" else float(np.rad2deg(u))
+
+
+def _degrees(fitted: Fitted) -> dict[str, float]:
+    """Of the fit's u of each label; infinite where it states none."""
+    channels = fitted.fit.model.channels
+    found: dict[str, float] = {}
+    for label in fitted.fit.labels:
+        name, where = place(label, channels)
+        degrees = float(np.atleast_1d(fitted.fit.parameters[name].degrees_of_freedom)[where or 0])
+        found[label] = degrees if math.isfinite(degrees) else math.inf
+    return found
 
 
 def _scale(fitted: Fitted) -> FloatArray:
@@ -137,15 +153,10 @@ def _row(
     variances = {name: None if part is None else float(part[k, k]) for name, part in parts.items()}
     known = [v for v in variances.values() if v is not None]
     u = math.sqrt(max(0.0, sum(known))) if np.isfinite(known).all() else math.nan
-    terms = [
-        v * v / freedom[name] for name, v in variances.items()
-        if v and name in freedom and math.isfinite(freedom[name]) and math.isfinite(v)
-    ]  # fmt: skip
-    effective = u**4 / sum(terms) if terms and sum(terms) > 0 else math.inf
-    # A whole number below is the cautious side (GUM G.4.1, note 1).
-    whole = max(1.0, math.floor(effective)) if math.isfinite(effective) else math.inf
-    tail = 0.5 * (1.0 + LEVEL)
-    factor = float(stats.t.ppf(tail, whole) if math.isfinite(whole) else stats.norm.ppf(tail))
+    whole = effective_degrees(
+        u * u, [(v, freedom[name]) for name, v in variances.items() if v and name in freedom]
+    )
+    factor = float(coverage_factor(whole, LEVEL))
     text = rounded(y, u)
     return {
         "label": label, "display": display(label, fitted.fit.model.channels),

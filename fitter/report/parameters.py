@@ -18,6 +18,7 @@ from fitter.models.pair import Pair
 from fitter.report.clean import drawn
 from fitter.report.fitted import Fitted, display, label_of
 from fitter.report.rounding import NOT_STATED, at_place_of, rounded, significant
+from fitter.student import coverage_factor, effective_degrees
 
 if TYPE_CHECKING:
     from fitter.models.base import ReflectanceModel
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-#: Coverage factor of the expanded uncertainty U = k u.
-COVERAGE_FACTOR = 2.0
+#: Coverage probability of the expanded uncertainty U = k u: k = 2 where u has many degrees of freedom.
+COVERAGE = 0.9545
 LEVEL = 0.95
 #: Parameters that a correlation matrix or a corner plot shows at most.
 MOST_CORRELATED = 16
@@ -59,7 +60,7 @@ def section(fitted: Fitted, posterior: Posterior | None) -> dict[str, Any]:
         "meaning": MEANING,
         "kind": fit.uncertainty,
         "kind_in_words": KINDS.get(fit.uncertainty, fit.uncertainty),
-        "coverage_factor": COVERAGE_FACTOR,
+        "coverage_probability": COVERAGE,
         "credible_level": None if posterior is None else LEVEL,
         "scale_uncertainty": scale,
         "angle_uncertainty_deg": _degrees(fitted.table.metadata.angle_uncertainty),
@@ -174,6 +175,7 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
     rows: list[dict[str, Any]] = []
     for name, estimate in fit.parameters.items():
         values, u_fit = np.atleast_1d(estimate.value), np.atleast_1d(estimate.standard_uncertainty)
+        own = np.atleast_1d(estimate.degrees_of_freedom)
         channels = fit.model.channels if estimate.value.ndim else (None,)
         slopes = np.broadcast_to(sensitivity.get(name, np.zeros(())), values.shape)
         bounds = fit.spec.bounds.get(name, declared[name].searched)
@@ -182,6 +184,8 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
             state = _state(name in fit.spec.fixed, estimate.at_bound[c], float(u_fit[c]))
             u_scale = float(abs(slopes[c]) * scale)
             u = float(np.hypot(u_fit[c], u_scale))
+            degrees = effective_degrees(u * u, [(float(u_fit[c]) ** 2, float(own[c]))])
+            k = float(coverage_factor(degrees, COVERAGE))
             text = rounded(float(values[c]), u)
             rows.append(
                 {
@@ -190,14 +194,16 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
                     "description": estimate.description, "linear": declared[name].linear,
                     "lower": bounds[0], "upper": bounds[1], "prior": declared[name].prior,
                     "estimate": float(values[c]), "standard_uncertainty": u,
-                    "expanded_uncertainty": COVERAGE_FACTOR * u,
+                    "effective_degrees_of_freedom": degrees, "coverage_factor": k,
+                    "expanded_uncertainty": k * u,
                     "components": {"fit": float(u_fit[c]), "scale": u_scale},
                     "scale_sensitivity": float(slopes[c]),
                     "at_bound": estimate.at_bound[c], "state": state,
                     "barely_determined": bool(u > BARELY * abs(values[c])) if math.isfinite(u) else False,
                     "text": {
                         "estimate": text.value, "standard_uncertainty": text.uncertainty,
-                        "expanded_uncertainty": _own(COVERAGE_FACTOR * u, text.uncertainty),
+                        "expanded_uncertainty": _own(k * u, text.uncertainty),
+                        "factor": _own(k, text.uncertainty, 3),
                         "fit": _own(float(u_fit[c]), text.uncertainty),
                         "scale": _own(u_scale, text.uncertainty) if u_scale > 0 else "0",
                     },
@@ -207,9 +213,9 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
     return rows
 
 
-def _own(component: float, beside: str) -> str:
+def _own(component: float, beside: str, digits: int = 2) -> str:
     """A component of u to two digits of its own; "—" where u itself is not stated."""
-    return significant(component, 2) if beside != NOT_STATED or component > 0 else NOT_STATED
+    return significant(component, digits) if beside != NOT_STATED or component > 0 else NOT_STATED
 
 
 def _state(fixed: bool, at_bound: str | None, u: float) -> str:

@@ -69,15 +69,16 @@ def _parameters(paper: Paper, record: Record) -> None:
     section, posterior = record["parameters"], record["posterior"]
     paper.heading("Parameters")
     paper.text(
-        f"Estimate y, standard uncertainty u (k = 1), U = k u with k = {section['coverage_factor']:g}. The "
+        "Estimate y, standard uncertainty u (k = 1), expanded uncertainty U = k u that covers with "
+        f"{100 * section['coverage_probability']:g} %. The "
         f"fit's part of u: {section['kind_in_words']}. {section['meaning']} A dash: none can be stated."
     )
-    head = ["parameter", "state", "unit", "y", "u", "U"]
+    head = ["parameter", "state", "unit", "y", "u", "k", "U"]
     rows: list[list[str]] = []
     for row in section["rows"]:
         text = row["text"]
         line = [row["display"], row["state"], row["unit"], text["estimate"], text["standard_uncertainty"]]
-        line.append(text["expanded_uncertainty"])
+        line += [text["factor"], text["expanded_uncertainty"]]
         if posterior:
             own = row["posterior"]
             line += ["—", "—"] if own is None else [

@@ -171,11 +171,11 @@ def _parameters(record: Record) -> str:
     shares = [(row["standard_uncertainty"] / abs(row["estimate"]), row) for row in stated if row["estimate"]]
     if shares:
         _, worst = max(shares, key=lambda pair: pair[0])
-        text, k = worst["text"], parameters["coverage_factor"]
+        text = worst["text"]
         parts.append(
             f"the least well known is {worst['display']}, estimate y = {text['estimate']} with standard "
             f"uncertainty u = {text['standard_uncertainty']} and expanded uncertainty U = k u = "
-            f"{text['expanded_uncertainty']} (k = {k:g})"
+            f"{text['expanded_uncertainty']} (k = {text['factor']})"
         )
     return "; ".join(parts) + "."
 

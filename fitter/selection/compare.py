@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+
+from fitter.student import coverage_factor
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def difference(a: FloatArray, b: FloatArray) -> Difference:
     """
     d = np.log(a) - np.log(b)
     mean, error = float(d.mean()), float(d.std(ddof=1) / math.sqrt(len(d)))
-    reach = float(stats.t.ppf(0.975, len(d) - 1)) * error
+    reach = float(coverage_factor(len(d) - 1, 0.95)) * error
     return Difference(_exp(mean), error, _exp(mean - reach), _exp(mean + reach))
 
 

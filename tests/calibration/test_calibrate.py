@@ -33,7 +33,7 @@ def _truths(spec: str, ranges: dict[str, tuple[float, float]], values: dict[str,
     table = scattered(model, seed=2, n=30, sigma=True, azimuths=True)
     estimates = {
         p.name: Estimate(
-            np.asarray(model.values[p.name]), np.full(model.values[p.name].shape, np.nan), p.unit, "",
+            np.asarray(model.values[p.name]), *(np.full(model.values[p.name].shape, np.nan),) * 2, p.unit, "",
             (None,) * max(1, model.values[p.name].size),
         )
         for p in model.table

@@ -80,8 +80,9 @@ def make_fit() -> MakeFit:
         for p in declared:
             value = np.asarray(found.values[p.name])
             parameters[p.name] = Estimate(
-                value, u * np.abs(value), p.unit, p.description, (None,) * max(value.size, 1)
-            )
+                value, u * np.abs(value), np.full(value.shape, np.inf), p.unit, p.description,
+                (None,) * max(value.size, 1),
+            )  # fmt: skip
             labels += [f"{p.name}[{n}]" for n in names] if value.ndim else [p.name]
         deviation = np.concatenate([np.atleast_1d(e.standard_uncertainty) for e in parameters.values()])
         correlation = 0.3 + 0.7 * np.eye(len(deviation))

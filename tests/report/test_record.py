@@ -51,7 +51,8 @@ def test_the_schema_is_stable(
     assert (record["kind"], record["version"]) == ("brdf-fitter/report", 1)
     assert set(record["parameters"]["rows"][0]) == {
         "name", "channel", "label", "display", "unit", "description", "linear", "lower", "upper", "prior",
-        "estimate", "standard_uncertainty", "expanded_uncertainty", "components", "scale_sensitivity",
+        "estimate", "standard_uncertainty", "effective_degrees_of_freedom", "coverage_factor",
+        "expanded_uncertainty", "components", "scale_sensitivity",
         "at_bound", "state", "barely_determined", "text", "posterior",
     }  # fmt: skip
     assert set(record["verdict"]) == {
@@ -158,7 +159,8 @@ def test_a_scale_uncertainty_is_a_component_of_the_linear_parameters(
     assert kd["components"]["fit"] == pytest.approx(0.04 * 0.2)
     assert kd["components"]["scale"] == pytest.approx(0.03 * 0.2)
     assert kd["standard_uncertainty"] == pytest.approx(0.05 * 0.2)
-    assert kd["expanded_uncertainty"] == pytest.approx(0.1 * 0.2)
+    assert kd["expanded_uncertainty"] == pytest.approx(0.1 * 0.2, rel=1e-5)
+    assert (kd["effective_degrees_of_freedom"], kd["text"]["factor"]) == (None, "2.00")
     assert kd["text"]["scale"] == "0.0060"
     assert alpha["components"]["scale"] == 0
     assert alpha["standard_uncertainty"] == pytest.approx(0.04 * 0.15)
@@ -377,7 +379,7 @@ def test_estimates_of_other_shapes(make_table: MakeTable, make_fit: MakeFit) -> 
     """A nonlinear parameter per channel is a row per channel."""
     table = make_table()
     fit = make_fit(table)
-    alpha = Estimate(np.full(3, 0.15), np.full(3, 0.01), "1", "roughness", (None,) * 3)
+    alpha = Estimate(np.full(3, 0.15), np.full(3, 0.01), np.full(3, np.inf), "1", "roughness", (None,) * 3)
     model = models.create("ward", channels=("R", "G", "B"), kd=0.2, ks=0.05, alpha=[0.15] * 3)
     labels = (*fit.labels[:-1], "alpha[R]", "alpha[G]", "alpha[B]")
     wide = replace(

@@ -32,7 +32,7 @@ def document(subject: Subject) -> dict[str, Any]:
     parameters = {
         p.name: {
             "value": np.asarray(model.values[p.name]).tolist(), "unit": p.unit, "description": p.description,
-            "standard_uncertainty": None, "at_bound": None,
+            "standard_uncertainty": None, "degrees_of_freedom": None, "at_bound": None,
         }
         for p in model.table
     }  # fmt: skip

@@ -1,0 +1,23 @@
+"""Student's t as the GUM uses it: coverage factors, and degrees of freedom of a combined uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+
+def coverage_factor(degrees: ArrayLike, level: float) -> NDArray[np.float64]:
+    """k of the expanded uncertainty k u that covers with the probability ``level``: the two-sided quantile of
+    Student's t (GUM G.3), which is the normal distribution's where the degrees of freedom are infinite."""
+    return np.asarray(special.stdtrit(np.asarray(degrees, np.float64), 0.5 + 0.5 * level))
+
+
+def effective_degrees(variance: float, parts: Iterable[tuple[float, float]]) -> float:
+    """Degrees of freedom of a variance that is the sum of parts, each with its own: the Welch-Satterthwaite
+    formula (GUM G.4.1), and of it the whole number below, the cautious side."""
+    terms = sum(v * v / degrees for v, degrees in parts if math.isfinite(v) and math.isfinite(degrees))
+    return max(1.0, math.floor(variance * variance / terms)) if terms > 0 else math.inf
