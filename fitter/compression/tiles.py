@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,7 @@ from fitter.compression.coding import Scale, Tile
 from fitter.compression.container import Block, damaged
 from fitter.compression.folds import Folds
 from fitter.compression.tile import Box
+from fitter.parts import in_parts
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -87,19 +88,21 @@ class Tiles:
         samples, channels = self.shape
         stored = np.full((*self.folds.shape, channels), np.nan)
         lost = np.ones(self.folds.shape, bool)
-        fixed: list[Tile] = []
-        for tile in self._every():
-            stored[tile.box.slices] = tile.value
-            lost[tile.box.slices] = False
-            fixed.append(tile)
-        value = self.folds.spread(stored).reshape(samples, channels)
-        for tile in fixed:
-            value.reshape(-1)[tile.fixed] = tile.replaced
-        return value, self.folds.spread(lost).reshape(samples)
+        names = self.names
+        fixed: list[tuple[IntArray, FloatArray]] = []
 
-    def _every(self) -> Iterator[Tile]:
-        for name in self.names:
-            yield self._kept.get(name) or coding.decode(self.blocks[name], self.scale, self.folds)
+        def unpack(part: slice) -> None:
+            for name in names[part]:
+                tile = self._kept.get(name) or coding.decode(self.blocks[name], self.scale, self.folds)
+                stored[tile.box.slices] = tile.value
+                lost[tile.box.slices] = False
+                fixed.append((tile.fixed, tile.replaced))
+
+        in_parts(unpack, len(names), rows=1, many=2)
+        value = self.folds.spread(stored).reshape(samples, channels)
+        for place, replaced in fixed:
+            value.reshape(-1)[place] = replaced
+        return value, self.folds.spread(lost).reshape(samples)
 
     def tile(self, name: str) -> Tile:
         """The tile of a block, unpacked now or before."""

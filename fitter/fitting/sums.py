@@ -107,7 +107,10 @@ def scores(
     u, inner = p[:t], p[t:].reshape(-1, c)
     own = layout.positions(len(p), c)
     bread = inverse[own[:, :, None], own[:, None, :]]  # (C, F + M, F + M)
-    influence = (jacobian @ inverse)[:, own].swapaxes(0, 1)  # (C, Q, F + M)
+    # In units of the u that the curvature alone gives: an open parameter may move by 1e80 of its own unit.
+    alone = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, inverse, jacobian), 0.0))
+    effect = jacobian @ inverse / np.where(alone > 0, alone, 1.0)[:, None]
+    influence = effect[:, own].swapaxes(0, 1)  # (C, Q, F + M)
 
     def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)

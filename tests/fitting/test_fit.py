@@ -16,6 +16,7 @@ from fitter import FitError, FitSpec, ModelSpec, SpecError, Table, directions, m
 from fitter.fitting import separable
 from fitter.fitting.layout import layout
 from fitter.spec import Select
+from tests.evidence.global_optimum import problem
 from tests.fitting.conftest import TRUTHS, scattered
 
 
@@ -96,6 +97,16 @@ def test_few_samples_that_tell_a_parameter_give_its_u_few_degrees_of_freedom():
     assert float(expanded[0]) == pytest.approx(stats.t.ppf(0.975, degrees["ks"]))
     again = fitter.FitResult.from_dict(fit.to_dict())
     assert float(again.parameters["ks"].degrees_of_freedom[0]) == degrees["ks"]
+
+
+def test_f13_a_lobe_whose_flank_is_a_few_samples():
+    """Problem 20262 of the study of the global optimum: an exhaustive scan ends at 15,603.438."""
+    table = problem("ward", 20_262).table
+    used = int(table.mask.sum())
+    found = fitter.fit(table, "ward")
+    assert found.metrics["objective"] * used == pytest.approx(15_603.438, abs=0.01)
+    hurried = fitter.fit(table, "ward", starts=6)
+    assert hurried.metrics["objective"] * used > 15_650
 
 
 def test_stated_noise_is_the_default_metric_and_explains_the_residuals(truth):
