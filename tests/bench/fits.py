@@ -39,6 +39,8 @@ def run(size: Size) -> Iterator[Row]:
     shape = size.pick(tables.MERL, tables.SMALL)
     for name in FAMILIES:
         yield _warm(name, tables.merl(name, shape, SEED), size)
+    for name in FAMILIES:
+        yield _growth(name, size)
     yield from _cold(tables.merl("ward", shape, SEED), size)
 
 
@@ -68,6 +70,31 @@ def _warm(name: str, table: Table, size: Size) -> Row:
         )
     ours = times["ours"].seconds("fitter.fit, metric cosine")
     return Row(f"fit {name}, full table", ours, tuple(others), facts, SEED)
+
+
+def _growth(name: str, size: Size) -> Row:
+    """How the time of a fit grows with the samples: at the same samples a second it grows in proportion."""
+    sizes = size.pick((10_000, 120_000, 1_500_000), (1_000, 4_000))
+    given = {n: tables.scattered(name, n, SEED) for n in sizes}
+    times = alternate(
+        {str(n): functools.partial(fitter.fit, table, name, metric="cosine") for n, table in given.items()},
+        size.pick(3, 1),
+    )
+    seconds = [float(np.median(times[str(n)].wall)) for n in sizes]
+    *smaller, most = sizes
+    table = given[most]
+    held = table.value.nbytes + table.wi.nbytes + table.wo.nbytes
+    facts: dict[str, Any] = {
+        "samples": sizes, "seconds": seconds,
+        "exponent": float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0]),
+        "memory_growth_over_table": times[str(most)].result.cost["memory_growth_bytes"] / held,
+    }
+    return Row(
+        case=f"fit {name}, scattered samples a second",
+        ours=times[str(most)].rate(f"of {most:,}", most),
+        others=tuple(times[str(n)].rate(f"of {n:,}", n) for n in smaller),
+        facts=facts, seed=SEED,
+    )  # fmt: skip
 
 
 def _error(name: str, fit: fitter.FitResult) -> float:
