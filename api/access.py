@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar
 from fastapi import Depends, Request
 from sqlalchemy import ColumnElement
 
+from api.idempotency import Fingerprint
 from api.keys import Caller
 from api.problems import Problem
 from api.rows import Row
@@ -23,11 +24,13 @@ class Mine:
     """What a caller may see and make.
 
     made : the id of what a request makes that named itself (Idempotency-Key); None for others.
+    fingerprint : of such a request.
     """
 
     service: Service
     caller: Caller
     made: str | None = None
+    fingerprint: Fingerprint | None = None
 
     def find(self, kind: type[_R], id: str) -> _R | None:
         """The row, None where there is none or it is another owner's."""
@@ -69,7 +72,8 @@ def of_request(request: Request) -> Mine:
     """The service as whoever sent the request sees it."""
     state = request.state
     return Mine(
-        request.app.state.service, getattr(state, "caller", Caller()), getattr(state, "made", None)
+        request.app.state.service, getattr(state, "caller", Caller()), getattr(state, "made", None),
+        getattr(state, "fingerprint", None),
     )  # fmt: skip
 
 
