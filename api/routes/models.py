@@ -196,6 +196,9 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
 
 
 def _model(here: Mine, id: str) -> Any:
+    kept = here.service.models.kept(id)
+    if kept is not None and here.sees(kept[0]):
+        return kept[1]
     return here.service.models.open(here.get(ModelRow, id))
 
 
