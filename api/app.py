@@ -52,5 +52,5 @@ def create_app(settings: Settings) -> FastAPI:
     for room in (tables, views, fits, fit_views, tradeoffs, scenes, jobs, models, health):
         app.include_router(room.router)
     pages.install(app)
-    openapi.install(app)
+    openapi.install(app, {**health.EXAMPLES, **models.EXAMPLES})
     return app

@@ -65,3 +65,35 @@ def test_errors_without_a_route(client: Any, method: str, path: str, status: int
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.json()["status"] == status
     assert ("allow" in answer.headers) == (status == 405)
+
+
+def test_405_names_all_that_may_be_done(client: Any, table: str) -> None:
+    for path, methods in (
+        ("/v1/tables", "GET, POST"),
+        (f"/v1/tables/{table}", "GET, DELETE"),
+        ("/healthz", "GET"),
+    ):
+        assert client.put(path).headers["allow"] == methods
+
+
+def test_bodies_of_another_type(client: Any, table: str, model: str) -> None:
+    """As `curl -d` sends them, for one: not JSON, whatever they hold."""
+    wanted = b'{"table": "x", "model": "ward"}'
+    pairs = b'{"wi": [0, 0, 1], "wo": [0, 0, 1]}'
+    for path, body in (
+        ("/v1/fits", wanted),
+        (f"/v1/models/{model}/evaluate", pairs),
+        (f"/v1/tables/{table}/evaluate", pairs),
+    ):
+        for kind in ("application/x-www-form-urlencoded", "text/plain; charset=utf-8", "image/png"):
+            answer = client.post(path, content=body, headers={"content-type": kind})
+            assert (answer.status_code, answer.json()["code"]) == (415, "unsupported-media-type"), (
+                path,
+                kind,
+            )
+            assert answer.headers["content-type"] == "application/problem+json"
+            assert "application/json" in answer.json()["remedy"]
+        assert (
+            client.post(path, content=body, headers={"content-type": "application/x+json"}).status_code != 415
+        )
+    assert client.post("/v1/fits").status_code == 422
