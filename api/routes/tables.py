@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from anyio import CancelScope, to_thread
+from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 import fitter
 from api import documents, schemas
 from api.access import Here, Mine
-from api.blobs import Blobs, Incoming
+from api.blobs import Incoming
 from api.contents import respond_content
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
 from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
+from api.receiving import copy, receive
 from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
@@ -38,9 +37,6 @@ from fitter.metadata import Quantity
 from fitter.quality import overview
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
-
-#: Bytes that are hashed and written at a time.
-CHUNK = 1 << 20
 
 
 class ReadingOptions(BaseModel):
@@ -82,7 +78,7 @@ async def upload(
         content_type = request.headers.get("content-type", "")
         if content_type.lower().startswith("multipart/form-data"):
             form = FileForm(content_type, incoming.write)
-            await _receive(request, form.write)
+            await receive(request, form.write)
             form.finish()
             if form.filename and not reading.name:
                 options = read_options({**given, "name": form.filename})
@@ -91,7 +87,7 @@ async def upload(
             named = here.fingerprint
             if named is not None:
                 named.leave()
-            await _receive(request, incoming.write)
+            await receive(request, incoming.write)
             if named is not None:
                 named.body = incoming.finish()
         # Who waits for a reader waits here and not in a thread: threads are for those who are at work.
@@ -100,29 +96,6 @@ async def upload(
     here.service.metrics.upload(row.size)
     response.headers["Location"] = f"/v1/tables/{row.id}"
     return documents.table(row)
-
-
-async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
-    """The body, to ``sink`` in pieces, in a thread: it hashes and writes one while the next arrives."""
-    waiting: list[bytes] = []
-    size = 0
-    at_work: asyncio.Task[None] | None = None
-    try:
-        async for chunk in request.stream():
-            waiting.append(chunk)
-            size += len(chunk)
-            if size >= CHUNK:
-                if at_work is not None:
-                    await asyncio.shield(at_work)
-                at_work = asyncio.create_task(to_thread.run_sync(sink, b"".join(waiting)))
-                waiting, size = [], 0
-    finally:
-        # Whatever happened: nobody closes the file while it is written to.
-        if at_work is not None:
-            with CancelScope(shield=True):
-                await at_work
-    if size:
-        await to_thread.run_sync(sink, b"".join(waiting))
 
 
 def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
@@ -147,12 +120,6 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
         here.service.blobs.keep(incoming, sha256)
         here.service.store.add(row)
     return row
-
-
-def _copy(blobs: Blobs, sha256: str, incoming: Incoming) -> None:
-    with blobs.open(sha256) as file:
-        while piece := file.read(CHUNK):
-            incoming.write(piece)
 
 
 def _columns(text: str | None) -> dict[str, Any] | None:
@@ -185,7 +152,7 @@ async def read_again(
     row = await to_thread.run_sync(here.get, TableRow, id)
     options = read_options({**row.options, **given})
     with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
-        await to_thread.run_sync(_copy, here.service.blobs, row.sha256, incoming)
+        await to_thread.run_sync(copy, here.service.blobs, row.sha256, incoming)
         made = await to_thread.run_sync(_keep, here, incoming, options, limiter=here.service.parsers.limiter)
     response.headers["Location"] = f"/v1/tables/{made.id}"
     return documents.table(made)
