@@ -166,10 +166,11 @@ def is_json(kind: str) -> bool:
 def _methods(scope: Scope) -> list[str]:
     """What may be done at a path. The framework names the methods only of the first route that has it."""
     routes: Sequence[BaseRoute] = scope["app"].routes
-    return [
-        method for method in ("GET", "HEAD", "POST", "DELETE")
+    found = [
+        method for method in ("GET", "POST", "DELETE")
         if any(route.matches({**scope, "method": method})[0] is Match.FULL for route in routes)
     ]  # fmt: skip
+    return [*found, "HEAD"] if "GET" in found else found
 
 
 def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:
