@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar
 from fastapi import Depends, Request
 from sqlalchemy import ColumnElement
 
+from api.idempotency import Fingerprint
 from api.keys import Caller
 from api.problems import Problem
 from api.rows import Row
@@ -23,18 +24,22 @@ class Mine:
     """What a caller may see and make.
 
     made : the id of what a request makes that named itself (Idempotency-Key); None for others.
+    fingerprint : of such a request.
     """
 
     service: Service
     caller: Caller
     made: str | None = None
+    fingerprint: Fingerprint | None = None
+
+    def sees(self, owner: str) -> bool:
+        """Whether that owner's rows are there for the caller."""
+        return self.caller.sees_all or owner == self.caller.owner
 
     def find(self, kind: type[_R], id: str) -> _R | None:
         """The row, None where there is none or it is another owner's."""
         row = self.service.store.get(kind, id)
-        if row is None or not (self.caller.sees_all or row.owner == self.caller.owner):
-            return None
-        return row
+        return row if row is not None and self.sees(row.owner) else None
 
     def get(self, kind: type[_R], id: str, noun: str | None = None) -> _R:
         """The row. Raises Problem (404)."""
@@ -65,11 +70,12 @@ class Mine:
         return None if self.made is None else self.find(kind, self.made)
 
 
-def of_request(request: Request) -> Mine:
-    """The service as whoever sent the request sees it."""
+async def of_request(request: Request) -> Mine:
+    """The service as whoever sent the request sees it. It waits for nothing, so it needs no thread."""
     state = request.state
     return Mine(
-        request.app.state.service, getattr(state, "caller", Caller()), getattr(state, "made", None)
+        request.app.state.service, getattr(state, "caller", Caller()), getattr(state, "made", None),
+        getattr(state, "fingerprint", None),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import fitter
 from api import openapi, pages, problems
 from api.conditional import Conditional
 from api.guard import Guard
+from api.heads import Heads
 from api.idempotency import Idempotent
 from api.limits import BodyLimit
 from api.observed import Observed
@@ -47,10 +48,11 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Conditional)
     app.add_middleware(Guard, settings=settings)
+    app.add_middleware(Heads)
     app.add_middleware(Observed)
     problems.install(app)
     for room in (tables, views, fits, fit_views, tradeoffs, scenes, jobs, models, health):
         app.include_router(room.router)
     pages.install(app)
-    openapi.install(app)
+    openapi.install(app, {**health.EXAMPLES, **models.EXAMPLES})
     return app

@@ -8,16 +8,18 @@ import tempfile
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import BinaryIO, Self
 
 import zstandard
 
 from api.problems import Problem
 from api.storage import Storage
 
-#: Packing takes 2 ms for a megabyte at this level, reading back 1 ms; parsing the table takes 10 or more.
-_LEVEL = 3
+#: Packs measured tables to 40 % at 430 MB/s; level 3 to 38 % at 230.
+_LEVEL = 1
 _WORTH = 0.9
+#: Pieces of a large file, and bytes of each, that are packed first: what does not pack costs no more.
+_PIECES, _PIECE = 4, 1 << 18
 _PACKED = ".zst"
 
 
@@ -64,20 +66,33 @@ class Incoming:
     def pack(self) -> None:
         """Pack the finished bytes, where that saves a tenth; they may be read meanwhile. Which of the two is
         to be kept is on the disk for good afterwards."""
+        packer = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
         handle, name = tempfile.mkstemp(dir=self.path.parent)
         smaller = Path(name)
         try:
             with os.fdopen(handle, "wb") as out, self.path.open("rb") as whole:
-                packer = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
-                packer.copy_stream(whole, out, size=self.size)
-                out.flush()
-                worth = smaller.stat().st_size <= _WORTH * self.size
+                worth = self._may_pack(packer, whole)
+                if worth:
+                    packer.copy_stream(whole, out, size=self.size)
+                    out.flush()
+                    worth = smaller.stat().st_size <= _WORTH * self.size
                 os.fsync((out if worth else self._file).fileno())
             if worth:
                 self.packed = smaller
         finally:
             if self.packed is None:
                 smaller.unlink(missing_ok=True)
+
+    def _may_pack(self, packer: zstandard.ZstdCompressor, whole: BinaryIO) -> bool:
+        """Whether pieces of the file, which is left at its beginning, are worth packing."""
+        if self.size <= _PIECES * _PIECE:
+            return True
+        packed = 0
+        for k in range(_PIECES):
+            whole.seek(k * (self.size - _PIECE) // (_PIECES - 1))
+            packed += len(packer.compress(whole.read(_PIECE)))
+        whole.seek(0)
+        return packed <= _WORTH * _PIECES * _PIECE
 
 
 class Blobs:
@@ -111,6 +126,17 @@ class Blobs:
         except FileNotFoundError:
             return self._storage.read(plain)
         return zstandard.ZstdDecompressor().decompress(content)
+
+    def open(self, sha256: str) -> BinaryIO:
+        """The bytes that were uploaded, to be read from the beginning on: never all of them are in memory.
+
+        Raises FileNotFoundError.
+        """
+        plain, packed = _names(sha256)
+        try:
+            return zstandard.ZstdDecompressor().stream_reader(self._storage.open(packed), closefd=True)
+        except FileNotFoundError:
+            return self._storage.open(plain)
 
     def holds(self, sha256: str) -> bool:
         return any(self._storage.holds(name) for name in _names(sha256))

@@ -130,9 +130,26 @@ class Client:
     def table(self, id: str) -> TableDocument:
         return self._get(f"/v1/tables/{id}", TableDocument)
 
-    def content(self, id: str) -> bytes:
-        """The bytes that were uploaded as this table."""
-        return self.request("GET", f"/v1/tables/{id}/content").content
+    def content(self, id: str) -> Iterator[bytes]:
+        """The bytes that were uploaded as this table, in pieces as they come; a lost stream is taken up again
+        where it broke off."""
+        at, waits = 0, list(RETRY_AFTER)
+        while True:
+            headers = {**self._headers, "Range": f"bytes={at}-"}
+            try:
+                with self._http.stream("GET", f"/v1/tables/{id}/content", headers=headers) as answer:
+                    if answer.status_code != 503 or not waits:
+                        if answer.status_code >= 400:
+                            answer.read()
+                            raise _error(answer)
+                        for piece in answer.iter_raw():
+                            at += len(piece)
+                            yield piece
+                        return
+            except httpx.TransportError as error:
+                if not waits or isinstance(error, _FINAL):
+                    raise _unreachable(error) from error
+            time.sleep(waits.pop(0))
 
     def tables(self) -> Iterator[TableDocument]:
         """All tables, newest first."""

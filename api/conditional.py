@@ -7,6 +7,9 @@ import hashlib
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+#: Answers depend on who asks; a store of one client may keep them if it asks again each time.
+PRIVATE = "private, no-cache"
+
 
 def matches(if_none_match: str, tag: str) -> bool:
     """Whether a header If-None-Match names ``tag``; the comparison is the weak one (RFC 9110, 13.1.2)."""
@@ -15,7 +18,7 @@ def matches(if_none_match: str, tag: str) -> bool:
 
 
 class Conditional:
-    """Middleware. The tag is the hash of the bytes, so it can't be out of date; streams have none."""
+    """Middleware. The tag is the hash of the bytes, so it can't be out of date; streams bring theirs."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -52,8 +55,7 @@ def _of_whole(start: Message, body: Message, given: str | None) -> tuple[Message
     headers = MutableHeaders(raw=list(start["headers"]))
     tag = f'"{hashlib.sha256(body.get("body", b"")).hexdigest()[:32]}"'
     headers["ETag"] = tag
-    # Answers depend on who asks; a store of one client may keep them if it asks again each time.
-    headers["Cache-Control"] = "private, no-cache"
+    headers["Cache-Control"] = PRIVATE
     if given is None or not matches(given, tag):
         return {**start, "headers": headers.raw}, body
     for name in ("content-length", "content-type"):

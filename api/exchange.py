@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from api import arrow_stream
 from api.arrow_stream import ARROW
-from api.problems import Problem
+from api.problems import JSON, Problem, is_json, media_type
 from fitter import directions
 from fitter.documents import dumps
 
 if TYPE_CHECKING:
     from fitter.sampling import Samples
 
-JSON, NPY = "application/json", "application/x-npy"
+NPY = "application/x-npy"
 FloatArray = NDArray[np.float64]
 
 #: A direction's length may be off by this much (rounded decimals); it is then scaled to unit length.
@@ -97,11 +97,13 @@ def checked(given: Any, name: str, limit: int) -> FloatArray:
             remedy="ask in several requests",
         )  # fmt: skip
     with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(np.einsum("ij,ij->i", w, w) - 1)
+        x, y, z = w.T
+        squared = x * x + y * y + z * z  # in a third of the time of einsum
+        off = np.abs(squared - 1)
         # Exact input stays exactly what it is. What is not finite compares as false, the largest of it, too.
         if off.max() <= EXACT:
             return w
-        unit = np.abs(np.sqrt(np.einsum("ij,ij->i", w, w)) - 1) <= LENGTH_TOLERANCE
+        unit = np.abs(np.sqrt(squared) - 1) <= LENGTH_TOLERANCE
     if not unit.all():
         at = int(np.argmin(unit))
         what = "is not a unit vector" if np.isfinite(w[at]).all() else "is not finite"
@@ -182,15 +184,16 @@ def limited(n: int, limit: int) -> None:
 
 
 def _is_npy(request: Request) -> bool:
-    return _content_type(request) == NPY
-
-
-def _content_type(request: Request) -> str:
-    return request.headers.get("content-type", "").split(";")[0].strip().lower()
+    return media_type(request) == NPY
 
 
 def _read_named(request: Request, body: bytes, names: tuple[str, ...]) -> Mapping[str, Any]:
-    return arrow_stream.unpacked(body, names) if _content_type(request) == ARROW else _read_json(body, names)
+    kind = media_type(request)
+    if kind == ARROW:
+        return arrow_stream.unpacked(body, names)
+    if kind and not is_json(kind):
+        raise Problem.unsupported(kind, [JSON, NPY, ARROW])
+    return _read_json(body, names)
 
 
 def _read_json(body: bytes, names: tuple[str, ...]) -> Mapping[str, Any]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from api.client import Client
 from fitter.batch import SERVER, BatchSpec, Fetched
 from fitter.cli.screen import Screen
 from fitter.cli.values import output_folder
-from fitter.documents import file_stem, write_bytes
+from fitter.documents import file_stem
 from fitter.errors import FitError, SpecError
 from fitter.formats import read_options
+from fitter.formats.output import write_aside
 
 #: How a table is named on a service.
 ID = re.compile("[0-9a-f]{32}")
@@ -39,8 +41,8 @@ def fetched(client: Client, spec: BatchSpec, folder: Path, screen: Screen) -> di
             progress(k / len(found), one.name)
             # The id that was asked for: what a service says of itself names no file here.
             path = folder / ids[word]
-            if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != one.sha256:
-                write_bytes(_content(client, ids[word], one.sha256), path)
+            if not path.exists() or _digest(path) != one.sha256:
+                write_aside(path, _checked(client, ids[word], one.sha256))
             alone = often[file_stem(stems[word]).casefold()] == 1
             name = stems[word] if alone else f"{stems[word]}-{ids[word][:8]}"
             reading = {key: item for key, item in one.options.items() if key != "name"}
@@ -58,11 +60,19 @@ def _id(word: str) -> str:
     return found
 
 
-def _content(client: Client, id: str, sha256: str) -> bytes:
-    content = client.content(id)
-    if hashlib.sha256(content).hexdigest() != sha256:
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _checked(client: Client, id: str, sha256: str) -> Iterator[bytes]:
+    """The content; what writes it aside gives up where it is not what was uploaded."""
+    digest = hashlib.sha256()
+    for piece in client.content(id):
+        digest.update(piece)
+        yield piece
+    if digest.hexdigest() != sha256:
         raise FitError(
             f"other bytes came than those uploaded as {id}", code="fetch-damaged",
             cause="a storage or a proxy that changes them", remedy="ask whoever runs the service",
         )  # fmt: skip
-    return content

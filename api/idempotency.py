@@ -14,6 +14,7 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from anyio import CancelScope, CapacityLimiter, to_thread
 from sqlalchemy import delete, select, update
@@ -123,7 +124,7 @@ class Idempotent:
             return
         store: Sessions = scope["app"].state.service.store
         caller: Caller = scope["state"]["caller"]
-        body = _Hashed(scope, receive)
+        body = Fingerprint(scope, receive)
         try:
             if not 1 <= len(key) <= 255 or not key.isprintable():
                 raise Problem.invalid(
@@ -136,7 +137,7 @@ class Idempotent:
                     409, "in-flight", "a request with this Idempotency-Key is being worked on",
                     headers={"Retry-After": "1"}, remedy="ask again in a moment",
                 )  # fmt: skip
-            if isinstance(found, Kept) and await body.rest() != found.fingerprint:
+            if isinstance(found, Kept) and await body.whole() != found.fingerprint:
                 raise Problem.invalid(
                     "idempotency-key-reused", "this Idempotency-Key was used for another request",
                     parameter="Idempotency-Key", remedy="give each request a key of its own",
@@ -149,11 +150,11 @@ class Idempotent:
         if isinstance(found, Kept):
             await _replay(found, send)
             return
-        scope["state"]["made"] = found
+        scope["state"].update(made=found, fingerprint=body)
         await self._work(store, caller.owner, key, body, scope, send)
 
     async def _work(
-        self, store: Sessions, owner: str, key: str, body: _Hashed, scope: Scope, send: Send
+        self, store: Sessions, owner: str, key: str, body: Fingerprint, scope: Scope, send: Send
     ) -> None:
         """Let the request be answered, and keep the answer before it is sent."""
         start: Message | None = None
@@ -173,7 +174,7 @@ class Idempotent:
             if 200 <= start["status"] < 300:
                 headers = Headers(raw=start["headers"])
                 shown = {name: headers[name] for name in _HEADERS if name in headers}
-                answered = Kept(await body.rest(), start["status"], shown, bytes(content))
+                answered = Kept(await body.whole(), start["status"], shown, bytes(content))
                 await to_thread.run_sync(keep, store, owner, key, answered)
             else:
                 await to_thread.run_sync(
@@ -211,30 +212,43 @@ async def _released(store: Sessions, owner: str, key: str) -> None:
         _log.warning("an Idempotency-Key can't be released, and is in %g s: %s", LEASE, error)
 
 
-class _Hashed:
-    """A request's fingerprint, from its body as it passes."""
+class Fingerprint:
+    """What tells a request from others: a hash of where it goes, and of its body as it passes.
+
+    body : its sha256 where somebody else hashes it, which :meth:`leave` says.
+    """
 
     def __init__(self, scope: Scope, receive: Receive) -> None:
+        self.body: str | None = None
         self._receive = receive
         self._ended = False
-        self._digest = hashlib.sha256()
+        self._digest: Any = hashlib.sha256()
         headers = Headers(scope=scope)
-        for part in (scope["path"], scope["query_string"].decode("latin-1"), headers.get("content-type", "")):
-            self._digest.update(f"{len(part)}:{part}".encode())
+        self._head = "".join(
+            f"{len(part)}:{part}" for part in
+            (scope["path"], scope["query_string"].decode("latin-1"), headers.get("content-type", ""))
+        )  # fmt: skip
+
+    def leave(self) -> None:
+        """Whoever reads the body sets ``body`` to its hash, once it has come."""
+        self._digest = None
 
     async def receive(self) -> Message:
         message = await self._receive()
         if message["type"] == "http.request":
-            self._digest.update(message.get("body", b""))
+            if self._digest is not None:
+                self._digest.update(message.get("body", b""))
             self._ended = not message.get("more_body", False)
         return message
 
-    async def rest(self) -> str:
+    async def whole(self) -> str:
         """Read what nobody has read yet; the fingerprint. Raises ClientDisconnect."""
         while not self._ended:
             if (await self.receive())["type"] == "http.disconnect":
                 raise ClientDisconnect
-        return self._digest.hexdigest()
+        body = self.body if self._digest is None else self._digest.hexdigest()
+        assert body is not None
+        return hashlib.sha256(f"{self._head}{body}".encode()).hexdigest()
 
 
 async def _replay(found: Kept, send: Send) -> None:

@@ -6,21 +6,30 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.problems import Problem
 from api.settings import Settings
-from fitter.spec import PosteriorSpec
+from fitter.spec import CalibrationSpec, PosteriorSpec
 
 
 def check_posterior(spec: PosteriorSpec, settings: Settings) -> None:
     """Raises Problem (422) where a posterior is asked for that is larger than the server makes them."""
-    for parameter, asked, most in (
-        ("walkers", spec.ensembles * (spec.walkers or 1), settings.max_walkers),
-        ("keep", spec.keep, settings.max_kept_draws),
-        ("budget_seconds", spec.budget_seconds, settings.max_budget_seconds),
-    ):
-        if asked > most:
-            raise Problem.invalid(
-                "beyond-limit", f"{parameter} comes to {asked:g}, the limit is {most:g}", parameter=parameter,
-                remedy="ask for less, or have the server's operator raise the limit",
-            )  # fmt: skip
+    _within("walkers", spec.ensembles * (spec.walkers or 1), settings.max_walkers)
+    _within("keep", spec.keep, settings.max_kept_draws)
+    _within("budget_seconds", spec.budget_seconds, settings.max_budget_seconds)
+
+
+def bounded_calibration(spec: CalibrationSpec, settings: Settings) -> CalibrationSpec:
+    """A calibration that ends in the time of a posterior. Raises Problem (422) where more is asked for."""
+    check_posterior(spec.posterior, settings)
+    most = settings.max_budget_seconds
+    _within("time_limit_seconds", spec.time_limit_seconds or 0.0, most)
+    return spec.model_copy(update={"time_limit_seconds": spec.time_limit_seconds or most})
+
+
+def _within(parameter: str, asked: float, most: float) -> None:
+    if asked > most:
+        raise Problem.invalid(
+            "beyond-limit", f"{parameter} comes to {asked:g}, the limit is {most:g}", parameter=parameter,
+            remedy="ask for less, or have the server's operator raise the limit",
+        )  # fmt: skip
 
 
 #: What multipart framing may add to a file.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from fastapi import FastAPI
@@ -11,7 +12,7 @@ from pydantic import BaseModel
 from api.arrow_stream import ARROW
 from api.exchange import NPY
 from api.guard import is_open, needed
-from api.problems import MEDIA_TYPE
+from api.problems import JSON, MEDIA_TYPE
 
 _COMPONENT = {"type": "number", "minimum": -1.01, "maximum": 1.01}
 _VECTOR = {"type": "array", "items": _COMPONENT, "minItems": 3, "maxItems": 3}
@@ -20,7 +21,7 @@ _EXAMPLES = {"wi": [0.6, 0.0, 0.8], "wo": [[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]]}
 _PARAMETERS = {
     "id": "0123456789abcdef0123456789abcdef", "name": "lafortune:2", "theta_i_deg": 30.0,
     "format": "openexr", "draws": 4, "other": "fedcba9876543210fedcba9876543210",
-    "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55",
+    "Idempotency-Key": "6f0a4e0c-5c44-4d0b-9df9-5c3f1c1f6c55", "limit": 20, "offset": 0,
 }  # fmt: skip
 _TABLE = """# quantity: brdf
 theta_i_deg,theta_o_deg,dphi_deg,brdf_R,brdf_G,brdf_B
@@ -116,6 +117,8 @@ def _completed(made: dict[str, Any]) -> None:
                 _guarded(operation, scope)
                 if method == "post" and scope == "write":
                     _idempotent(operation)
+            if JSON in operation.get("requestBody", {}).get("content", {}):
+                operation["responses"]["415"] = {"description": "The body is of another type"}
             for status, answer in operation["responses"].items():
                 if int(status) >= 400:
                     answer["content"] = {MEDIA_TYPE: {"schema": _PROBLEM}}
@@ -124,8 +127,11 @@ def _completed(made: dict[str, Any]) -> None:
                     parameter.setdefault("example", _PARAMETERS[parameter["name"]])
 
 
-def install(app: FastAPI) -> None:
-    """Make the application's schema say what the framework can't know."""
+def install(app: FastAPI, answers: Mapping[str, Any]) -> None:
+    """Make the application's schema say what the framework can't know.
+
+    answers : examples by path of what operations answer that take nothing that an example could show.
+    """
 
     def schema() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -134,6 +140,10 @@ def install(app: FastAPI) -> None:
                 routes=app.routes,
             )  # fmt: skip
             _completed(made)
+            # The framework would leave out what is null.
+            for path, example in answers.items():
+                (content,) = made["paths"][path]["get"]["responses"]["200"]["content"].values()
+                content["example"] = example
             app.openapi_schema = made
         return app.openapi_schema
 

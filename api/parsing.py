@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import mmap
 import multiprocessing
 import os
 import resource
@@ -54,11 +55,11 @@ class Parsers:
         self._context.set_forkserver_preload([__name__, "api.readers"])
         self.limiter = CapacityLimiter(at_once)
 
-    def parse(self, path: Path, options: dict[str, Any]) -> Parsed:
+    def parse(self, path: Path, options: dict[str, Any], sha256: str) -> Parsed:
         """Read the file at ``path``. Raises Problem: the file's fault, or 500 where it is ours."""
         receiver, sender = self._context.Pipe(duplex=False)
         process = self._context.Process(
-            target=_read, args=(sender, str(path), options, self._limits), daemon=True
+            target=_read, args=(sender, str(path), options, sha256, self._limits), daemon=True
         )
         process.start()
         sender.close()
@@ -95,27 +96,30 @@ def _refused(code: str, detail: str) -> Problem:
     )  # fmt: skip
 
 
-def _read(sender: Connection, path: str, options: dict[str, Any], limits: Limits) -> None:
+def _read(sender: Connection, path: str, options: dict[str, Any], sha256: str, limits: Limits) -> None:
     """The process: read, and say what came of it."""
     _limit(limits)
     try:
-        found = _described(Path(path), options, limits)
+        found = _described(Path(path), options, sha256, limits)
     except FitterError as error:
         found = {"problem": of_fitter_error(error)}
     except MemoryError:
         found = {"memory": limits.bytes}
     except Exception as error:
-        # Libraries have memory errors of their own.
-        memory = "memory" in type(error).__name__.lower() or isinstance(error.__cause__, MemoryError)
+        # Libraries have memory errors of their own, and a thread's stack is memory, too.
+        memory = (
+            "memory" in type(error).__name__.lower() or isinstance(error.__cause__, MemoryError)
+            or "start new thread" in str(error)
+        )  # fmt: skip
         found = {"memory": limits.bytes} if memory else {"bug": traceback.format_exc()}
     with contextlib.suppress(BrokenPipeError):
         sender.send_bytes(orjson.dumps(found, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
-def _described(path: Path, options: dict[str, Any], limits: Limits) -> dict[str, Any]:
+def _described(path: Path, options: dict[str, Any], sha256: str, limits: Limits) -> dict[str, Any]:
     from api.readers import describe, parse
 
-    table = parse(path.read_bytes(), options)
+    table = parse(_mapped(path), options, sha256)
     samples, channels = table.value.shape
     for count, most, noun in ((samples, limits.samples, "samples"), (channels, limits.channels, "channels")):
         if count > most:
@@ -126,6 +130,14 @@ def _described(path: Path, options: dict[str, Any], limits: Limits) -> dict[str,
     return {"name": table.metadata.name, "description": describe(table)}
 
 
+def _mapped(path: Path) -> bytes | memoryview:
+    """The file's bytes, not read but mapped: nobody else knows the file, so that nobody changes it."""
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size == 0:
+            return b""
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
 def _limit(limits: Limits) -> None:
     """No more memory than the limits say on top of what the process has, and no core dumps."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -134,4 +146,3 @@ def _limit(limits: Limits) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[5])
         most = pages * os.sysconf("SC_PAGE_SIZE") + limits.bytes
         resource.setrlimit(resource.RLIMIT_DATA, (most, most))
-

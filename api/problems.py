@@ -12,11 +12,13 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import BaseRoute, Match
 from starlette.types import Scope
 
 from fitter.errors import FitterError
 
 MEDIA_TYPE = "application/problem+json"
+JSON = "application/json"
 _OWN = ("status", "code", "detail")
 
 
@@ -80,6 +82,13 @@ class Problem(HTTPException):
         )  # fmt: skip
 
     @classmethod
+    def unsupported(cls, content_type: str, taken: Sequence[str]) -> Problem:
+        return cls(
+            415, "unsupported-media-type", f"the body's content type is {content_type[:64] or 'not named'}",
+            parameter="Content-Type", remedy=f"send it as {' or '.join(taken)}",
+        )  # fmt: skip
+
+    @classmethod
     def invalid(cls, code: str, detail: str, **more: Any) -> Problem:
         return cls(422, code, detail, **more)
 
@@ -117,10 +126,17 @@ def install(app: FastAPI) -> None:
         else:
             code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
             found = document(error.status_code, code, str(error.detail))
-        return respond(found, request.scope, error.headers)
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods(request.scope))
+        return respond(found, request.scope, headers)
 
     async def on_validation(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
+        first, kind = error.errors()[0], media_type(request)
+        if first["loc"] == ("body",) and first["type"] != "missing" and not is_json(kind):
+            # The framework takes a body that is not said to be JSON for a text.
+            return answer(Problem.unsupported(kind, [JSON]), request.scope)
         return respond(_of_validation(error.errors()), request.scope)
 
     async def on_fitter(request: Request, error: Exception) -> Response:
@@ -136,6 +152,25 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, on_validation)
     app.add_exception_handler(FitterError, on_fitter)
     app.add_exception_handler(ClientDisconnect, on_disconnect)
+
+
+def media_type(request: Request) -> str:
+    """Of the request's body, without its parameters; "" where none is named."""
+    return request.headers.get("content-type", "").split(";")[0].strip().lower()
+
+
+def is_json(kind: str) -> bool:
+    return kind == JSON or kind.endswith("+json")
+
+
+def _methods(scope: Scope) -> list[str]:
+    """What may be done at a path. The framework names the methods only of the first route that has it."""
+    routes: Sequence[BaseRoute] = scope["app"].routes
+    found = [
+        method for method in ("GET", "POST", "DELETE")
+        if any(route.matches({**scope, "method": method})[0] is Match.FULL for route in routes)
+    ]  # fmt: skip
+    return [*found, "HEAD"] if "GET" in found else found
 
 
 def _of_validation(errors: Sequence[Any]) -> dict[str, Any]:

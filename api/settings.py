@@ -27,7 +27,7 @@ class Settings:
     max_albedo_directions : directions in one albedo request (each is a quadrature of its own).
     max_draws : draws in one request for samples.
     max_walkers, max_kept_draws, max_budget_seconds : of one posterior: walkers of all its ensembles, draws
-        kept, and the time that bounds its steps.
+        kept, and the time that bounds its steps; the last is also the most that a calibration may take.
     max_queue : jobs that may wait; more are refused with 429.
     max_attempts : times who works on a job may die before it is given up; when servers die that did not work
         on it, it is given up after ten times as many starts.

@@ -14,13 +14,15 @@ import uuid
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 from urllib.parse import urlsplit
 
 from fitter.documents import write_bytes
 from fitter.errors import SpecError
 
 #: Protocols whose files appear only when they are whole. On the others we write aside and rename.
+#: Bytes that are fetched at a time where a file is read in pieces.
+_BLOCK = 1 << 20
 _WHOLE = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oci", "oss", "memory"}
 
 
@@ -29,6 +31,10 @@ class Storage(Protocol):
 
     def read(self, name: str) -> bytes:
         """Raises FileNotFoundError."""
+        ...
+
+    def open(self, name: str) -> BinaryIO:
+        """The bytes, to be read in pieces. Raises FileNotFoundError."""
         ...
 
     def write(self, name: str, content: bytes) -> None: ...
@@ -56,6 +62,9 @@ class Folder:
 
     def read(self, name: str) -> bytes:
         return (self._root / name).read_bytes()
+
+    def open(self, name: str) -> BinaryIO:
+        return (self._root / name).open("rb")
 
     def write(self, name: str, content: bytes) -> None:
         write_bytes(content, self._root / name)
@@ -113,6 +122,10 @@ class Remote:
     def read(self, name: str) -> bytes:
         found: bytes = self._files.cat_file(self._path(name))
         return found
+
+    def open(self, name: str) -> BinaryIO:
+        opened: BinaryIO = self._files.open(self._path(name), "rb", block_size=_BLOCK)
+        return opened
 
     def write(self, name: str, content: bytes) -> None:
         with self._appearing(name) as out:

@@ -16,6 +16,7 @@ from api.blobs import Blobs
 from api.rows import TableRow
 from fitter.errors import TableError
 from fitter.formats.read_options import read_options
+from fitter.formats.source import Source
 from fitter.views import Views
 
 if TYPE_CHECKING:
@@ -25,11 +26,14 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 
-def parse(data: bytes, options: dict[str, Any]) -> fitter.Table:
-    """The table in uploaded bytes. Raises TableError or SpecError as :func:`fitter.load` does."""
+def parse(data: bytes | memoryview, options: dict[str, Any], sha256: str) -> fitter.Table:
+    """The table in uploaded bytes, whose sha256 is known. Raises TableError or SpecError as
+    :func:`fitter.load` does."""
     chosen = read_options(options)
     try:
-        return fitter.load(data, **chosen.to_dict())
+        source = Source(data, chosen.name)
+        source.digest = sha256
+        return fitter.load(source, **chosen.to_dict())
     except TableError as error:
         error.file = error.file or chosen.name or "the upload"
         raise
@@ -93,7 +97,7 @@ class OpenTables:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        opened = Opened(parse(self._blobs.read(row.sha256), row.options))
+        opened = Opened(parse(self._blobs.read(row.sha256), row.options, row.sha256))
         with self._lock:
             # Two requests may have parsed at once: the first one's table, with its sampler, stays.
             opened = self._kept.setdefault(key, opened)

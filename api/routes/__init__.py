@@ -41,6 +41,7 @@ _SAYS = {
     404: "There is no such thing",
     409: "Its state does not allow that",
     413: "The request is too large",
+    416: "The range begins beyond the end",
     422: "The request is understood and can't be carried out",
     429: "Too many jobs wait",
     500: "The server failed",

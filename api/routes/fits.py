@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from api import documents, exchange, schemas
 from api.access import Here, Mine
 from api.exports import ChosenChannels, draws_responses, respond_draws
-from api.limits import check_posterior
+from api.limits import bounded_calibration, check_posterior
 from api.problems import Problem
 from api.reports import Kind, report
 from api.routes import Limit, Offset, OfTable, page, problems
@@ -63,11 +63,12 @@ async def start_calibration(
     wanted: schemas.CalibrationRequest, here: Here, response: Response, prefer: Prefer = None
 ) -> dict[str, Any]:
     """Judge posteriors of a finished fit's model by simulations on its table's directions. The answer is a
-    job; a simulation takes about a second."""
+    job; a simulation takes about a second. It ends after `time_limit_seconds`, by default as late as the
+    server allows."""
 
     def prepare() -> tuple[str, dict[str, Any]]:
-        spec = calibration_spec(wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True))
-        check_posterior(spec.posterior, here.service.settings)
+        given = wanted.model_dump(mode="json", exclude={"fit"}, exclude_unset=True)
+        spec = bounded_calibration(calibration_spec(given), here.service.settings)
         row = with_table(here, fit_row(here, wanted.fit))
         return str(row.table_id), {"fit": row.id, "spec": spec.model_dump(mode="json")}
 

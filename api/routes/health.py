@@ -16,10 +16,18 @@ from api.routes import problems
 router = APIRouter(tags=["health"])
 
 
+_WELL = {"status": "ok", "version": fitter.__version__}
+_COUNTED = """# HELP brdf_jobs Rows kept.
+# TYPE brdf_jobs gauge
+brdf_jobs{state="queued"} 3.0
+"""
+EXAMPLES = {"/healthz": _WELL, "/readyz": _WELL, "/metrics": _COUNTED}
+
+
 @router.get("/healthz", response_model=schemas.Health)
 def healthz() -> dict[str, Any]:
     """The process answers."""
-    return {"status": "ok", "version": fitter.__version__}
+    return _WELL
 
 
 @router.get("/readyz", response_model=schemas.Health, responses=problems(503))
@@ -31,7 +39,7 @@ def readyz(here: Here) -> dict[str, Any]:
         raise Problem(503, "not-ready", "the database does not answer") from error
     if here.service.stopping.is_set():
         raise Problem(503, "not-ready", "the server is stopping")
-    return {"status": "ok", "version": fitter.__version__}
+    return _WELL
 
 
 @router.get(

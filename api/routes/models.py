@@ -157,27 +157,12 @@ def export(
     return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
 
 
-@router.get("/v1/export-targets", response_model=list[schemas.ExportTargetDocument])
-def export_targets() -> list[dict[str, Any]]:
-    """What models and tables can be exported to."""
+def _targets() -> list[dict[str, Any]]:
     return [
         {"name": entry.name, "description": entry.description, "models": entry.models, "tables": entry.tables,
          "convention": entry.convention, "media_type": media_type(entry.name)}
         for entry in targets()
     ]  # fmt: skip
-
-
-@router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
-def families() -> list[dict[str, Any]]:
-    """Every model there is, each with its options and the parameters of its default form; first those that
-    are fitted."""
-    return [_family(default(name)) for name in OPTIONS]
-
-
-@router.get("/v1/model-families/{name}", response_model=schemas.FamilyDocument, responses=problems(422))
-def family(name: str) -> dict[str, Any]:
-    """The parameters of one form, by its short name, as `torrance_sparrow:ggx` or `lafortune:2`."""
-    return _family(model_spec(name))
 
 
 def _family(spec: ModelSpec) -> dict[str, Any]:
@@ -195,7 +180,32 @@ def _family(spec: ModelSpec) -> dict[str, Any]:
     return {**described, "values_schema": schema}
 
 
+EXAMPLES = {"/v1/export-targets": _targets()[:1], "/v1/model-families": [_family(default("lambert"))]}
+
+
+@router.get("/v1/export-targets", response_model=list[schemas.ExportTargetDocument])
+def export_targets() -> list[dict[str, Any]]:
+    """What models and tables can be exported to."""
+    return _targets()
+
+
+@router.get("/v1/model-families", response_model=list[schemas.FamilyDocument])
+def families() -> list[dict[str, Any]]:
+    """Every model there is, each with its options and the parameters of its default form; first those that
+    are fitted."""
+    return [_family(default(name)) for name in OPTIONS]
+
+
+@router.get("/v1/model-families/{name}", response_model=schemas.FamilyDocument, responses=problems(422))
+def family(name: str) -> dict[str, Any]:
+    """The parameters of one form, by its short name, as `torrance_sparrow:ggx` or `lafortune:2`."""
+    return _family(model_spec(name))
+
+
 def _model(here: Mine, id: str) -> Any:
+    kept = here.service.models.kept(id)
+    if kept is not None and here.sees(kept[0]):
+        return kept[1]
     return here.service.models.open(here.get(ModelRow, id))
 
 

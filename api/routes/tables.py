@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from anyio import CancelScope, to_thread
-from fastapi import APIRouter, Query, Request, Response
+from anyio import to_thread
+from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 import fitter
 from api import documents, schemas
 from api.access import Here, Mine
 from api.blobs import Incoming
+from api.contents import respond_content
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
 from api.exports import ChosenChannels, export_responses, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
+from api.receiving import copy, receive
 from api.routes import Limit, Offset, page, problems
 from api.rows import TableRow
 from api.schemas import Label
@@ -37,9 +37,6 @@ from fitter.metadata import Quantity
 from fitter.quality import overview
 
 router = APIRouter(prefix="/v1/tables", tags=["tables"])
-
-#: Bytes that are hashed and written at a time.
-CHUNK = 1 << 20
 
 
 class ReadingOptions(BaseModel):
@@ -81,39 +78,24 @@ async def upload(
         content_type = request.headers.get("content-type", "")
         if content_type.lower().startswith("multipart/form-data"):
             form = FileForm(content_type, incoming.write)
-            await _receive(request, form.write)
+            await receive(request, form.write)
             form.finish()
             if form.filename and not reading.name:
                 options = read_options({**given, "name": form.filename})
         else:
-            await _receive(request, incoming.write)
+            # What names the request by its body need not hash it once more.
+            named = here.fingerprint
+            if named is not None:
+                named.leave()
+            await receive(request, incoming.write)
+            if named is not None:
+                named.body = incoming.finish()
         # Who waits for a reader waits here and not in a thread: threads are for those who are at work.
         parsers = here.service.parsers
         row = await to_thread.run_sync(_keep, here, incoming, options, limiter=parsers.limiter)
     here.service.metrics.upload(row.size)
     response.headers["Location"] = f"/v1/tables/{row.id}"
     return documents.table(row)
-
-
-async def _receive(request: Request, sink: Callable[[bytes], None]) -> None:
-    """The body, to ``sink`` in pieces, in a thread: it hashes and writes one while the next arrives."""
-    waiting = bytearray()
-    at_work: asyncio.Task[None] | None = None
-    try:
-        async for chunk in request.stream():
-            waiting += chunk
-            if len(waiting) >= CHUNK:
-                if at_work is not None:
-                    await asyncio.shield(at_work)
-                at_work = asyncio.create_task(to_thread.run_sync(sink, bytes(waiting)))
-                waiting.clear()
-    finally:
-        # Whatever happened: nobody closes the file while it is written to.
-        if at_work is not None:
-            with CancelScope(shield=True):
-                await at_work
-    if waiting:
-        await to_thread.run_sync(sink, bytes(waiting))
 
 
 def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
@@ -125,7 +107,7 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     # At once: the reading is another process's.
     with ThreadPoolExecutor(1) as beside:
         packing = beside.submit(incoming.pack)
-        found = here.service.parsers.parse(incoming.path, options.to_dict())
+        found = here.service.parsers.parse(incoming.path, options.to_dict(), sha256)
         packing.result()
     row = TableRow(
         id=here.new_id(), created=time.time(), owner=here.caller.owner,
@@ -170,7 +152,7 @@ async def read_again(
     row = await to_thread.run_sync(here.get, TableRow, id)
     options = read_options({**row.options, **given})
     with here.service.blobs.incoming(here.service.settings.max_upload_bytes) as incoming:
-        await to_thread.run_sync(lambda: incoming.write(here.service.blobs.read(row.sha256)))
+        await to_thread.run_sync(copy, here.service.blobs, row.sha256, incoming)
         made = await to_thread.run_sync(_keep, here, incoming, options, limiter=here.service.parsers.limiter)
     response.headers["Location"] = f"/v1/tables/{made.id}"
     return documents.table(made)
@@ -258,17 +240,22 @@ def samples(id: str, request: Request, wanted: schemas.TableSampleRequest, here:
 @router.get(
     "/{id}/content", response_class=Response,
     responses={
-        **problems(404, 422),
+        **problems(404, 416, 422),
         200: {"content": {"application/octet-stream": {}}, "description": "The bytes"},
+        206: {"content": {"application/octet-stream": {}}, "description": "The range that was asked for"},
     },
 )  # fmt: skip
-def content(id: str, here: Here) -> Response:
-    """The bytes that were uploaded. Read with the table's `options` they are the table again."""
-    row = here.get(TableRow, id)
-    return Response(
-        here.service.blobs.read(row.sha256), media_type="application/octet-stream",
-        headers={"Content-Disposition": "attachment"},
-    )  # fmt: skip
+async def content(
+    id: str, request: Request, here: Here,
+    range: Annotated[str | None, Header(description="one range of bytes", examples=["bytes=0-99"])] = None,
+) -> Response:  # fmt: skip
+    """The bytes that were uploaded. Read with the table's `options` they are the table again.
+
+    The tag is their sha256. Of a Range with several parts, or in another unit, the whole is sent.
+    """
+    del range  # documented here, read there
+    row = await to_thread.run_sync(here.get, TableRow, id)
+    return await respond_content(request, here.service.blobs, row.sha256, row.size)
 
 
 @router.get("/{id}/info", response_model=schemas.InfoDocument, responses=problems(404, 422))

@@ -26,7 +26,8 @@ class Source:
 
     Parameters
     ----------
-    given : a path, bytes or an open binary file (read from where it stands).
+    given : a path, bytes or an open binary file (read from where it stands). A read-only memoryview is not
+        copied: what it shows must not change.
     name : what errors call it; default the path's last part.
 
     Raises
@@ -34,11 +35,13 @@ class Source:
     TableError : the file is missing, unreadable, or was opened as text.
     """
 
-    def __init__(self, given: str | os.PathLike[str] | bytes | BinaryIO, name: str | None = None) -> None:
+    def __init__(
+        self, given: str | os.PathLike[str] | bytes | memoryview | BinaryIO, name: str | None = None
+    ) -> None:
         self._path: Path | None = None
-        self._bytes = b""
+        self._bytes: bytes | memoryview = b""
         if isinstance(given, bytes | bytearray | memoryview):
-            self._bytes = bytes(given)
+            self._bytes = given if isinstance(given, memoryview) and given.readonly else bytes(given)
             self.name = name
         elif isinstance(given, str | os.PathLike):
             self._path = Path(given)
@@ -63,7 +66,7 @@ class Source:
 
     def _open(self) -> tuple[bytes, int]:
         if self._path is None:
-            return self._bytes[:HEAD], len(self._bytes)
+            return bytes(self._bytes[:HEAD]), len(self._bytes)
         try:
             with self._path.open("rb") as file:
                 state = os.fstat(file.fileno())
@@ -96,8 +99,8 @@ class Source:
 
     @cached_property
     def data(self) -> bytes:
-        """All bytes; a copy only where they come from a path."""
-        return self._bytes if self._path is None else bytes(self.buffer)
+        """All bytes; a copy only where they come from a path or a memoryview."""
+        return self._bytes if isinstance(self._bytes, bytes) and self._path is None else bytes(self.buffer)
 
     def part(self, start: int, stop: int) -> memoryview:
         """The bytes from ``start`` to ``stop``: of a large file read now, so that not all need be in memory.
@@ -151,7 +154,10 @@ class Source:
 
     @cached_property
     def digest(self) -> str | Digest:
-        """sha256 of all bytes, for :class:`fitter.metadata.Metadata`; that of a large file is yet to come."""
+        """sha256 of all bytes, for :class:`fitter.metadata.Metadata`; that of a large file is yet to come.
+
+        Who knows it already sets it.
+        """
         if self._path is not None and self._apart:
             return Digest(partial(_file_digest, self._path))
         return digest_of(self.buffer)

@@ -197,7 +197,7 @@ def test_a_batch_of_a_service_s_tables(
 ) -> None:  # fmt: skip
     """Fetched once, read with their options, fitted here; unknown ids are told before any work."""
     ids = [service.upload(file, name="paint").id, service.upload(file, name="paint", quantity="ccbrdf").id]
-    assert service.content(ids[0]) == file.read_bytes()
+    assert b"".join(service.content(ids[0])) == file.read_bytes()
     out = tmp_path / "out"
     spec = tmp_path / "b.yaml"
     spec.write_text(f"tables: ['server:{ids[0]}', 'server:{ids[1]}']\nmodels: [oren_nayar]\nreport: false\n")
@@ -238,7 +238,7 @@ def test_what_a_service_says_is_not_trusted_with_files(
         Client, "table", lambda self, id: told(self, id).model_copy(update={"id": f"../../{id}"})
     )
     with monkeypatch.context() as changed:
-        changed.setattr(Client, "content", lambda self, id: b"other bytes")
+        changed.setattr(Client, "content", lambda self, id: iter([b"other bytes"]))
         assert main([*words, *ids]) == 1
     assert "other bytes came" in capsys.readouterr().err
     assert main([*words, *ids]) == 0

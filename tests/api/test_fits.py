@@ -34,6 +34,15 @@ def test_posteriors_have_limits(client: Any, fit: str) -> None:
             assert answer.json()["parameter"] == parameter
 
 
+def test_calibrations_end(client: Any, fit: str) -> None:
+    answer = client.post("/v1/calibrations", json={"fit": fit, "time_limit_seconds": 80_000})
+    assert (answer.status_code, answer.json()["parameter"]) == (422, "time_limit_seconds")
+    for asked, limit in (({}, 14_400.0), ({"time_limit_seconds": 7}, 7.0)):
+        answer = client.post("/v1/calibrations", json={"fit": fit, "simulations": 10_000, **asked})
+        assert answer.json()["request"]["spec"]["time_limit_seconds"] == limit
+        client.post(f"{answer.headers['location']}/cancel")
+
+
 def test_job_holds_what_came_of_each_model(job: dict[str, Any]) -> None:
     assert job["state"] == "done"
     assert job["progress"]["share"] == 1

@@ -128,9 +128,9 @@ def test_a_reader_that_needs_too_much_memory_is_stopped(tmp_path: Path) -> None:
     path = tmp_path / "merl.binary"
     path.write_bytes(merl())
     enough = parsing.Parsers(1, Limits(2 << 30, 60, 10**7, 10))
-    assert enough.parse(path, {}).description["format"] == "merl"
+    assert enough.parse(path, {}, "0" * 64).description["format"] == "merl"
     with pytest.raises(parsing.Problem) as stopped:
-        parsing.Parsers(1, Limits(64 << 20, 60, 10**7, 10)).parse(path, {})
+        parsing.Parsers(1, Limits(32 << 20, 60, 10**7, 10)).parse(path, {}, "0" * 64)
     assert stopped.value.code == "reading-takes-too-much"
 
 
@@ -138,7 +138,7 @@ def test_a_small_parquet_file_needs_little_memory(tmp_path: Path) -> None:
     path = tmp_path / "small.parquet"
     path.write_bytes(next(one.data for one in SAMPLES if one.name == "parquet"))
     parsers = parsing.Parsers(1, Limits(256 << 20, 60, 10**6, 10))
-    assert parsers.parse(path, {}).description["format"] == "parquet"
+    assert parsers.parse(path, {}, "0" * 64).description["format"] == "parquet"
 
 
 def test_a_reader_that_crashes_or_hangs_is_the_file_s_end(
@@ -151,13 +151,13 @@ def test_a_reader_that_crashes_or_hangs_is_the_file_s_end(
         with monkeypatch.context() as patched:
             patched.setattr(parsing, "_read", what)
             with pytest.raises(parsing.Problem) as ended:
-                parsers.parse(path, {})
+                parsers.parse(path, {}, "0" * 64)
         assert (ended.value.status_code, ended.value.code) == (422, code)
     with monkeypatch.context() as patched:
         patched.setattr(parsing, "_read", bad_readers.fails)
         with pytest.raises(RuntimeError):
-            parsers.parse(path, {})
-    assert parsers.parse(path, {}).name
+            parsers.parse(path, {}, "0" * 64)
+    assert parsers.parse(path, {}, "0" * 64).name
     assert not [p for p in psutil.Process().children(recursive=True) if p.status() == psutil.STATUS_ZOMBIE]
 
 

@@ -57,6 +57,24 @@ def test_another_request_under_the_same_name_is_refused(client: Any) -> None:
     assert client.post("/v1/models", json=MODEL, headers=named("d")).status_code == 201
 
 
+def framed(content: bytes) -> dict[str, Any]:
+    head = b'--b\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n'
+    return {"content": head + content + b"\r\n--b--\r\n"}
+
+
+def test_uploads_are_told_apart_by_their_bytes(client: Any) -> None:
+    """Raw bytes are hashed on the way to the disk, a form's as they come."""
+    for key, form, as_sent in (("raw", "text/plain", lambda table: {"content": table}),
+                               ("form", "multipart/form-data; boundary=b", framed)):  # fmt: skip
+        headers = named(f"upload-{key}", **{"content-type": form})
+        first = client.post("/v1/tables", **as_sent(small_table(1)), headers=headers)
+        assert first.status_code == 201, first.text
+        again = client.post("/v1/tables", **as_sent(small_table(1)), headers=headers)
+        assert (again.content, again.headers["idempotency-replayed"]) == (first.content, "true")
+        other = client.post("/v1/tables", **as_sent(small_table(2)), headers=headers)
+        assert (other.status_code, other.json()["code"]) == (422, "idempotency-key-reused")
+
+
 def test_what_only_asks_needs_no_name(client: Any, model: str) -> None:
     pairs = {"wi": [0, 0, 1], "wo": [0, 0, 1]}
     for _ in range(2):

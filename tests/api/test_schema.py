@@ -117,6 +117,28 @@ def test_every_operation_has_an_example_that_works(
     assert len(tried) >= 30, tried
 
 
+def test_what_takes_nothing_shows_its_answer(client: Any) -> None:
+    """Every operation has an example: of what it takes, or else of what it answers."""
+    document = client.app.openapi()
+    shown: list[str] = []
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            if "requestBody" in operation or any("example" in one for one in operation["parameters"]):
+                continue
+            ((kind, answer),) = operation["responses"]["200"]["content"].items()
+            came = client.request(method, path)
+            assert came.headers["content-type"].startswith(kind)
+            example, found = answer["example"], came.json() if kind == "application/json" else came.text
+            if isinstance(example, list):
+                assert all(one in found for one in example), path
+            elif isinstance(example, str):
+                assert example.splitlines()[0] in found.splitlines(), path
+            else:
+                assert example == found, path
+            shown.append(path)
+    assert set(shown) == {"/healthz", "/readyz", "/metrics", "/v1/export-targets", "/v1/model-families"}
+
+
 @pytest.fixture(scope="module")
 def guarded(serving_once: Any, table_bytes: bytes) -> tuple[Any, dict[str, str], dict[str, str]]:
     """A service that asks for keys, the header that has one, and what there is."""
@@ -144,10 +166,11 @@ def test_schemathesis(
     assert probed(asked, {**known, "fits": there["fits"]}, mode, {}) > 60
 
 
-def test_schemathesis_with_keys(guarded: tuple[Any, dict[str, str], dict[str, str]]) -> None:
+@pytest.mark.parametrize("mode", ["positive", "negative"])
+def test_schemathesis_with_keys(guarded: tuple[Any, dict[str, str], dict[str, str]], mode: str) -> None:
     """The same where keys are asked for, with a key and without."""
     client, header, known = guarded
-    assert probed(client, known, "positive", header) > 60
+    assert probed(client, known, mode, header) > 60
 
 
 def probed(client: Any, known: dict[str, str], mode: str, header: dict[str, str]) -> int:

@@ -158,6 +158,26 @@ def test_upload_is_cut_on_the_wire_and_a_dropped_one_leaves_nothing(
     assert server.client.get("/healthz").status_code == 200
 
 
+def test_what_is_no_http_gets_a_problem(start: Callable[[], Server]) -> None:
+    server = start()
+    server.ready()
+    port = server.client.base_url.port
+    assert port is not None
+    for sent in (
+        b"\x16\x03\x01\x02\x00 a TLS greeting\r\n\r\n",
+        b"GET\r\n\r\n",
+        b"POST / HTTP/1.1\r\nContent-Length: x\r\n\r\n",
+    ):
+        with socket.create_connection(("127.0.0.1", port), timeout=30) as wire:
+            wire.sendall(sent)
+            came = b"".join(iter(lambda: wire.recv(4096), b""))
+        head, _, body = came.partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 400 "), (sent, came)
+        assert b"application/problem+json" in head
+        assert json.loads(body)["code"] == "bad-http"
+    assert server.client.get("/healthz").status_code == 200
+
+
 def test_second_server_is_refused_and_an_open_event_stream_does_not_hold_up_the_stop(
     start: Callable[[], Server], table_bytes: bytes, tmp_path: Path
 ) -> None:

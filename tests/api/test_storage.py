@@ -52,9 +52,12 @@ def test_blobs_and_results(storage: Storage, tmp_path: Path) -> None:
             blobs.keep(incoming, sha256)
             blobs.keep(incoming, sha256)
         assert blobs.read(sha256) == content
+        with blobs.open(sha256) as file:
+            assert b"".join(iter(lambda: file.read(1000), b"")) == content
         blobs.drop(sha256)
-        with pytest.raises(FileNotFoundError):
-            blobs.read(sha256)
+        for look in (blobs.read, blobs.open):
+            with pytest.raises(FileNotFoundError):
+                look(sha256)
     results.write("a" * 32, {"x": 1})
     results.write_report("a" * 32, "png", b"picture")
     assert results.read("a" * 32) == {"x": 1}

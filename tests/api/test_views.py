@@ -13,7 +13,7 @@ from fitter.views import Views, lobe
 
 @pytest.fixture(scope="module")
 def parsed(table_bytes: bytes) -> Any:
-    return parse(table_bytes, {})
+    return parse(table_bytes, {}, "0" * 64)
 
 
 def test_lobe(client: Any, table: str, parsed: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import random
@@ -13,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -32,8 +33,10 @@ from tests.bench.measuring import Figure, Row, Size, alternate
 SEED = 9
 #: Of these at once; each asks for one thing after the other.
 CLIENTS, SECONDS = 64, 60.0
-#: Bytes that the server may grow by during an upload, of whatever size.
+#: Bytes that the server may grow by while a table comes or goes, of whatever size.
 GROWTH = 64 << 20
+#: And while all clients are at work, over what it holds when the first job has loaded what jobs need.
+GROWTH_AT_WORK = 512 << 20
 
 
 @contextmanager
@@ -141,16 +144,34 @@ def _uploads(client: Client, process: psutil.Process, folder: Path, size: Size) 
         ours=times["served"].rate("POST /v1/tables, B/s", len(content)), others=(floor,),
         facts={"bytes": len(content), "reading_seconds": median(working[1:])}, seed=SEED,
     )  # fmt: skip
-    sizes = [_merl(n) for n in size.pick((45, 90, 180), (10,))]
-    grown = {len(sent): _growth(client, process, sent) for sent in sizes}
-    assert max(grown.values()) < GROWTH, grown
-    rate = max(grown.values()) / max(grown)
-    yield Row(
-        case=f"the server's memory during an upload of {max(grown) / 1e6:.0f} MB, of its size",
-        ours=Figure("resident bytes more than before", "ratio", rate, rate, rate, len(grown)),
-        facts={"grown_bytes_by_size": {str(sent): most for sent, most in grown.items()}, "bound": GROWTH},
-        seed=SEED,
-    )  # fmt: skip
+    contents = [_merl(n) for n in size.pick((45, 90, 180), (10,))]
+    grown = {len(one): _growths(client, process, one) for one in contents}
+    for k, verb in enumerate(("sent", "fetched")):
+        most = {sent: both[k] for sent, both in grown.items()}
+        assert max(most.values()) < GROWTH, most
+        rate = max(most.values()) / max(most)
+        yield Row(
+            case=f"the server's memory while a table of {max(most) / 1e6:.0f} MB is {verb}, of its size",
+            ours=Figure("resident bytes more than before", "ratio", rate, rate, rate, len(most)),
+            facts={"grown_bytes_by_size": {str(sent): one for sent, one in most.items()}, "bound": GROWTH},
+            seed=SEED,
+        )  # fmt: skip
+
+
+def _growths(client: Client, process: psutil.Process, content: bytes) -> tuple[int, int]:
+    """By how many bytes the server grows while a table is sent, and while its bytes are fetched."""
+    ids: list[str] = []
+    sent = _growth(process, lambda: ids.append(client.upload(content).id))
+    fetched = _growth(process, lambda: _fetch(client, ids[0], content))
+    client.delete_table(ids[0])
+    return sent, fetched
+
+
+def _fetch(client: Client, id: str, content: bytes) -> None:
+    digest = hashlib.sha256()
+    for piece in client.content(id):
+        digest.update(piece)
+    assert digest.digest() == hashlib.sha256(content).digest()
 
 
 def _merl(n: int) -> bytes:
@@ -165,8 +186,8 @@ def _spent(answer: httpx.Response) -> dict[str, float]:
     return {name: 1e-3 * float(milliseconds) for name, milliseconds in told.items()}
 
 
-def _growth(client: Client, process: psutil.Process, content: bytes) -> int:
-    """By how many bytes the server is larger, at most, while it takes an upload."""
+def _growth(process: psutil.Process, act: Callable[[], None]) -> int:
+    """By how many bytes the server is larger, at most, meanwhile."""
     before = most = process.memory_info().rss
     done = threading.Event()
 
@@ -178,7 +199,7 @@ def _growth(client: Client, process: psutil.Process, content: bytes) -> int:
     looking = threading.Thread(target=look)
     looking.start()
     try:
-        client.delete_table(client.upload(content).id)
+        act()
     finally:
         done.set()
         looking.join()
@@ -192,9 +213,12 @@ def _load(url: str, process: psutil.Process, size: Size) -> Row:
     failures: list[str] = []
     jobs: list[str] = []
     lock = threading.Lock()
+    content = datasets.sample("diffuse_plaster").read_bytes()
+    with Client(url) as client:
+        # What the first job loads stays, and is no growth of the load's.
+        client.wait(client.start("fits", table=client.upload(content).id, model="oren_nayar"))
     memory = [process.memory_info().rss]
     end = time.monotonic() + seconds
-    content = datasets.sample("diffuse_plaster").read_bytes()
 
     def one(k: int) -> None:
         rng = random.Random(SEED + k)
@@ -230,7 +254,8 @@ def _load(url: str, process: psutil.Process, size: Size) -> Row:
     with Client(url) as client:
         states = Counter(client.wait(id).state for id in jobs)
     assert not failures, failures[:3]
-    assert sum(states.values()) == len(jobs)
+    assert sum(states.values()) == states["done"] == len(jobs), states
+    assert max(memory) - memory[0] < GROWTH_AT_WORK, memory
     facts: dict[str, Any] = {
         **answered, "server_errors": len(failures), "jobs": dict(states), "clients": clients,
         "resident_bytes_before": memory[0], "resident_bytes_most": max(memory),
