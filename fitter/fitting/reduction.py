@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -120,21 +119,18 @@ def _grams(
 
 @kept("layout", "span", "slabs", "length")
 def _sums(layout: Layout, span: Span, slabs: int, length: int, block: Arrays) -> Array:
-    def one(start: Array) -> Array:
-        pair, y, w = (
-            jax.lax.dynamic_slice_in_dim(jnp.asarray(a), start * length, length, axis)
-            for a, axis in ((block[0], 1), (block[1], 0), (block[3], 0))
-        )
-        terms = [layout.family.terms(layout.spec, q, Pair(*pair)) for q in _nonlinear(span)]
-        columns = jnp.stack([term for found in terms for term in found])
-        if w.shape[1] == 1:
-            rows = jnp.concatenate([columns, y.T]) * w.T
-            return (rows @ rows.T)[None]
-        each = jnp.broadcast_to(columns, (y.shape[1], *columns.shape))
-        rows = jnp.concatenate([each, y.T[:, None]], axis=1) * w.T[:, None]
-        return jnp.einsum("gin,gjn->gij", rows, rows)
-
-    return jax.lax.map(one, jnp.arange(slabs))
+    cells = slabs * length
+    pair, y, w = (jnp.asarray(column) for column in (block[0], block[1], block[3]))
+    pair, y, w = pair[:, :cells], y[:cells].T, w[:cells].T
+    terms = [layout.family.terms(layout.spec, q, Pair(*pair)) for q in _nonlinear(span)]
+    columns = jnp.stack([term for found in terms for term in found])
+    if len(w) == 1:
+        rows = (jnp.concatenate([columns, y]) * w)[None]
+    else:
+        each = jnp.broadcast_to(columns, (len(y), *columns.shape))
+        rows = jnp.concatenate([each, y[:, None]], axis=1) * w[:, None]
+    rows = rows.reshape(*rows.shape[:2], slabs, length)
+    return jnp.einsum("gisn,gjsn->sgij", rows, rows)
 
 
 def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, channels: int) -> Block:
