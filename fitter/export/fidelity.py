@@ -26,9 +26,7 @@ _FAINTEST = 1e-9
 TOO_COARSE = 0.1
 
 
-def compared_pairs(
-    subject: Subject, count: int = _PAIRS, seed: int = _SEED
-) -> tuple[FloatArray, FloatArray]:
+def compared_pairs(subject: Subject, count: int = _PAIRS, seed: int = _SEED) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) to compare at. Of a model half are drawn from its own sampler, half evenly over the two
     hemispheres up to 80 deg; of a table they are its own samples."""
     if subject.table is not None:
