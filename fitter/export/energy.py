@@ -34,25 +34,46 @@ def scale(known: FloatArray, rest: FloatArray, some: FloatArray) -> FloatArray:
 
 def reflectance(subject: Subject, wi: FloatArray) -> FloatArray:
     """Of the first channel (n,) at incidences (n, 3), negative and missing values as 0."""
-    lobe = _lobe(subject)
-    lobes = (lobe, Lobe(lobe.along**0.5, lobe.across**0.5, lobe.psi))
-    qmc: Any = importlib.import_module("scipy.stats.qmc")
-    points = qmc.Sobol(2, scramble=True, seed=2).random(_POINTS)
+    lobes = _lobes(subject)
     found = np.empty(len(wi))
     for start in range(0, len(wi), _TOGETHER):
-        incident = np.repeat(wi[start : start + _TOGETHER], 3 * _POINTS, axis=0)
-        some = incident.reshape(-1, 3 * _POINTS, 3)
-        wo = np.concatenate([*(_mirrored(one, points, some) for one in lobes), _cosine(points, some)], axis=1)
-        found[start : start + _TOGETHER] = _estimates(subject, lobes, some, wo)
+        part = slice(start, start + _TOGETHER)
+        found[part] = _weighted(subject, lobes, wi[part])[1].sum(axis=1) / _POINTS
     return found
 
 
-def _lobe(subject: Subject) -> Lobe:
+def drawn(subject: Subject, wi: FloatArray, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Pairs (M, 3), ``count`` of each incidence (n, 3), nearly by the first channel's f_r cos(theta_o):
+    chosen among the points by their weights."""
+    wo, weight = _weighted(subject, _lobes(subject), wi)
+    rng = np.random.default_rng(seed)
+    total = weight.cumsum(axis=1)
+    total /= np.where(total[:, -1:] > 0, total[:, -1:], 1.0)
+    index = np.stack([np.searchsorted(one, rng.random(count)) for one in total])
+    index = np.minimum(index, wo.shape[1] - 1)
+    kept = np.take_along_axis(weight, index, axis=1) > 0
+    chosen = np.take_along_axis(wo, index[..., None], axis=1)
+    return np.broadcast_to(wi[:, None], chosen.shape)[kept], chosen[kept]
+
+
+def _weighted(subject: Subject, lobes: tuple[Lobe, ...], wi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Directions (n, P, 3) of each incidence and f_r cos(theta_o) over their density (n, P)."""
+    qmc: Any = importlib.import_module("scipy.stats.qmc")
+    points = qmc.Sobol(2, scramble=True, seed=2).random(_POINTS)
+    some = np.repeat(wi, 3 * _POINTS, axis=0).reshape(-1, 3 * _POINTS, 3)
+    wo = np.concatenate([*(_mirrored(one, points, some) for one in lobes), _cosine(points, some)], axis=1)
+    return wo, _estimates(subject, lobes, some, wo)
+
+
+def _lobes(subject: Subject) -> tuple[Lobe, ...]:
+    """One as wide as the subject's, and a wider one."""
     if subject.table is None:
-        return lobe_of(subject)
-    index = np.flatnonzero(subject.table.mask)
-    width = lobe_width(*subject.table.directions(index), subject.table.value[index].mean(axis=1))
-    return Lobe(width, width)
+        lobe = lobe_of(subject)
+    else:
+        index = np.flatnonzero(subject.table.mask)
+        width = lobe_width(*subject.table.directions(index), subject.table.value[index].mean(axis=1))
+        lobe = Lobe(width, width)
+    return lobe, Lobe(lobe.along**0.5, lobe.across**0.5, lobe.psi)
 
 
 def _mirrored(lobe: Lobe, points: FloatArray, wi: FloatArray) -> FloatArray:
@@ -85,4 +106,4 @@ def _estimates(subject: Subject, lobes: tuple[Lobe, ...], wi: FloatArray, wo: Fl
     value = np.where(np.isfinite(value), np.maximum(value, 0.0), 0.0)
     each = np.zeros(up.shape)
     each[up] = value * o[:, 2] / density
-    return each.sum(axis=1) / _POINTS
+    return each

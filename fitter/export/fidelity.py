@@ -48,6 +48,14 @@ def compared_pairs(subject: Subject, count: int = _PAIRS, seed: int = _SEED) -> 
     return np.concatenate(drawn[0]), np.concatenate(drawn[1])
 
 
+def even_pairs(subject: Subject, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Up to ``count`` pairs (M, 3), even over the hemispheres up to 80 deg, where the subject is known."""
+    rng = np.random.default_rng(seed)
+    wi, wo = _cap(rng, 4 * count), _cap(rng, 4 * count)
+    known = np.flatnonzero(~subject.evaluate(wi, wo)[1])[:count]
+    return wi[known], wo[known]
+
+
 def fidelity(subject: Subject, path: Path, tool: str = "between its samples") -> Loss:
     """The file read back by this program against the subject, in a sentence."""
     back = load(path, negatives="keep")

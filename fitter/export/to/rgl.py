@@ -9,26 +9,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import SpecError
+from fitter.export import table_layout
 from fitter.export.fidelity import of_function
 from fitter.export.half_vectors import HalfVectors
 from fitter.export.registry import Target, Written
 from fitter.export.subject import Subject
 from fitter.formats import rgl_writer
-from fitter.formats.output import write_aside
+from fitter.formats.output import refuse_in_plane, write_aside
 from fitter.formats.registry import Loss
 from fitter.formats.rgl import adaptive_of
 from fitter.formats.source import Source
 from fitter.formats.tensor_file import fields as fields_of
 from fitter.formats.tensor_file import tensor_bytes
+from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 
 
 def write(subject: Subject, path: Path) -> Written:
     if subject.table is not None:
-        losses = rgl_writer.write_rgl(subject.table, path)
-        return Written((*losses, _fidelity(subject, path)))
+        return _write_table(subject, subject.table, path)
     return _write_model(subject, path)
+
+
+def _write_table(subject: Subject, table: Table, path: Path) -> Written:
+    if table.symmetry != "isotropic" or rgl_writer.order_of(table.channels) is None:
+        return Written((*rgl_writer.write_rgl(table, path), _fidelity(subject, path)))
+    refuse_in_plane(table, "an RGL file")
+    layout, error = table_layout.chosen(subject)
+    losses = rgl_writer.write_rgl(table, path, layout)
+    said = (
+        f"{layout.theta_i.size} incidences of {layout.steps} x {layout.steps} samples each, "
+        f"{path.stat().st_size / 1e6:.1f} MB: expected to be within {error:.2%} of the table for 95 % of "
+        "directions, half even over what was measured, half by f_r cos(theta_o)."
+    )
+    return Written((Loss("resolution", said), *losses, _fidelity(subject, path)))
 
 
 def _write_model(subject: Subject, path: Path) -> Written:
