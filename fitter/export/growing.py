@@ -74,8 +74,8 @@ def _scale(levels: list[_Level], reflectance: FloatArray, first: int) -> None:
         leaf = np.ones(len(entry.value), bool)
         leaf[entry.divided] = False
         where = _incident(entry.cells, n, sides)
-        whole = np.bincount(where[leaf], entry.value[leaf], n**sides)
-        sums.append(whole.reshape((n,) * sides) * (np.pi / n**2))
+        whole: FloatArray = np.bincount(where[leaf], entry.value[leaf], n**sides).astype(np.float64)
+        sums.append(np.asarray(whole.reshape((n,) * sides) * (np.pi / n**2), np.float64))
     for level in range(first, len(levels)):
         n = 1 << level
         fine = np.sum([_means(one, n) for one in sums[level:]], axis=0)
@@ -119,12 +119,10 @@ def _join(levels: list[_Level], rank: int, least: float) -> None:
         above.value[above.divided] = mean
         kept = np.ptp(halves, axis=1) > _SAME * mean + least
         kept |= ~leaf.reshape(halves.shape).all(axis=1)
-        moved = np.cumsum(np.repeat(kept, 1 << rank)) - 1
+        there = np.repeat(kept, 1 << rank)
+        moved = np.cumsum(there) - 1
         below.divided = moved[below.divided]
-        below.cells, below.value = (
-            c.reshape(len(kept), 1 << rank, -1)[kept].reshape(-1, *c.shape[1:])
-            for c in (below.cells, below.value)
-        )
+        below.cells, below.value = below.cells[there], below.value[there]
         above.divided = above.divided[kept]
 
 

@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 _LADDER = ((7.0, 64), (7.0, 128), (3.5, 128), (3.5, 256), (1.75, 256), (1.25, 256), (1.0, 256), (0.85, 256))
 #: The p95 that is aimed at, below the 1 % that is stated: what is predicted is of few pairs.
 _GOAL, _PAIRS, _INCIDENCES = 0.007, 2000, 100
+#: Fewer pairs than that, even over the hemispheres, and nothing is predicted.
+_FEWEST = 200
 
 
 def table_pairs(subject: Subject, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -37,28 +39,34 @@ def table_pairs(subject: Subject, count: int, seed: int) -> tuple[FloatArray, Fl
     return np.concatenate([wi, more[0]]), np.concatenate([wo, more[1]])
 
 
-def chosen(subject: Subject) -> tuple[Layout, float]:
-    """The smallest layout that is expected to keep to the goal, or the best, and the p95 expected."""
+def chosen(subject: Subject) -> tuple[Layout, float] | None:
+    """The smallest layout that is expected to keep to the goal, or the best, and the p95 expected. None of a
+    table of so few directions that hardly any others are between them."""
     table = subject.table
     assert table is not None
     index = np.flatnonzero(table.mask)
     own, out = table.directions(index)
     width = lobe_width(own, out, table.value[index].mean(axis=1))
+    if len(even_pairs(subject, _PAIRS, 1)[0]) < _FEWEST:
+        return None
     wi, wo = table_pairs(subject, _PAIRS, 1)
     ours, outside = subject.evaluate(wi, wo)
     known = ~outside & seen(ours)
-    found: list[tuple[float, Layout]] = []
-    for apart, steps in _LADDER:
-        for alpha in sorted({width, WIDEST}):
-            one = Layout(*incidences(table, own, np.deg2rad(apart)), alpha, steps)
-            size = one.theta_i.size * steps**2 * (4 * max(len(subject.channels), 3) + 5)
-            if found and size > LARGEST:
-                continue
-            found.append((_expected(subject, one, wi[known], wo[known], ours[known]), one))
-        error, best = min(found, key=lambda entry: entry[0])
-        if error <= _GOAL:
-            break
-    return best, error
+    best, least = None, np.inf
+    for (apart, steps), alpha in product(_LADDER, sorted({width, WIDEST})):
+        one = Layout(*incidences(table, own, np.deg2rad(apart)), alpha, steps)
+        if best is not None and (least <= _GOAL or _size(subject, one) > LARGEST):
+            continue
+        error = _expected(subject, one, wi[known], wo[known], ours[known])
+        if error < least:
+            best, least = one, error
+    assert best is not None
+    return best, least
+
+
+def _size(subject: Subject, layout: Layout) -> int:
+    """Bytes of a file, nearly."""
+    return layout.theta_i.size * layout.steps**2 * (4 * max(len(subject.channels), 3) + 5)
 
 
 def _expected(subject: Subject, layout: Layout, wi: FloatArray, wo: FloatArray, ours: FloatArray) -> float:

@@ -36,7 +36,10 @@ def _write_table(subject: Subject, table: Table, path: Path) -> Written:
     if table.symmetry != "isotropic" or rgl_writer.order_of(table.channels) is None:
         return Written((*rgl_writer.write_rgl(table, path), _fidelity(subject, path)))
     refuse_in_plane(table, "an RGL file")
-    layout, error = table_layout.chosen(subject)
+    chosen = table_layout.chosen(subject)
+    if chosen is None:
+        return Written((*rgl_writer.write_rgl(table, path), _fidelity(subject, path)))
+    layout, error = chosen
     losses = rgl_writer.write_rgl(table, path, layout)
     said = (
         f"{layout.theta_i.size} incidences of {layout.steps} x {layout.steps} samples each, "
