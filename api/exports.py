@@ -23,7 +23,7 @@ ZIP = "application/zip"
 
 
 async def in_turn(here: Mine, to: str, made: Callable[[], Response]) -> Response:
-    """``made()`` in a thread. Exports that sample or fit take turns: some take half a minute and 100 MB.
+    """``made()`` in a thread. Exports that sample or fit take turns: some take a minute and 100 MB.
 
     Raises SpecError for an unknown target, and what ``made`` raises.
     """
