@@ -5,18 +5,29 @@ from __future__ import annotations
 import json
 import tempfile
 import zipfile
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from anyio import to_thread
 from fastapi import Query, Response
 
 from fitter.export import Subject, target, targets, write, write_draws
 
 if TYPE_CHECKING:
+    from api.access import Mine
     from fitter.posterior import Posterior
 
 ZIP = "application/zip"
+
+
+async def in_turn(here: Mine, to: str, made: Callable[[], Response]) -> Response:
+    """``made()`` in a thread. Exports that sample or fit take turns: some take a minute and 100 MB.
+
+    Raises SpecError for an unknown target, and what ``made`` raises.
+    """
+    return await to_thread.run_sync(made, limiter=here.service.exports if target(to).tables else None)
 
 
 def respond_export(subject: Subject, to: str, *, channels: str | None, unconverged: bool = False) -> Response:

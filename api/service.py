@@ -8,6 +8,8 @@ import logging
 import threading
 from typing import BinaryIO
 
+from anyio import CapacityLimiter
+
 from api import idempotency
 from api.blobs import Blobs
 from api.database import parsed
@@ -31,6 +33,8 @@ _log = logging.getLogger("brdf_fitter.api")
 
 #: Seconds after which an upload on its way, to a server that shares its folder with others, is nobody's.
 OLD_UPLOAD = 86_400.0
+#: Exports that are worked on at once, but for those that only print.
+EXPORTS = 2
 
 
 class Service:
@@ -53,6 +57,8 @@ class Service:
             settings.max_parse_bytes, settings.max_parse_seconds, settings.max_samples, settings.max_channels
         )
         self.parsers = Parsers(settings.parsers, limits)
+        #: Who waits for another's export waits without a thread: those are for who is at work.
+        self.exports = CapacityLimiter(EXPORTS)
         self.tables = OpenTables(self.blobs, settings.cached_tables)
         self.models = OpenModels(settings.cached_models)
         #: Set when the server is asked to stop: event streams end, so that nothing holds it up.

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import documents, exchange, schemas
 from api.access import Here, Mine
-from api.exports import ChosenChannels, draws_responses, respond_draws
+from api.exports import ChosenChannels, draws_responses, in_turn, respond_draws
 from api.limits import bounded_calibration, check_posterior
 from api.problems import Problem
 from api.reports import Kind, report
@@ -169,18 +169,22 @@ def posterior(id: str, here: Here) -> Response:
     "/posteriors/{id}/export/{format}", response_class=Response,
     responses={**draws_responses(), **problems(404, 422)}, tags=["posteriors"],
 )  # fmt: skip
-def posterior_export(
+async def posterior_export(
     id: str, format: str, here: Here,
     draws: Annotated[int, Query(ge=1, le=16, description="how many, evenly spaced through the posterior")],
     channels: ChosenChannels = None,
     unconverged: Annotated[bool, Query(description="also of a posterior that did not converge")] = False,
 ) -> Response:  # fmt: skip
     """Draws of the posterior as a set of materials; `/v1/export-targets` lists the formats."""
-    here.get(PosteriorRow, id)
-    from fitter.posterior import Posterior  # takes a second, and only here
 
-    found = Posterior.from_dict(here.service.results.read(id))
-    return respond_draws(found, format, draws, channels=channels, unconverged=unconverged)
+    def made() -> Response:
+        here.get(PosteriorRow, id)
+        from fitter.posterior import Posterior  # takes a second, and only here
+
+        found = Posterior.from_dict(here.service.results.read(id))
+        return respond_draws(found, format, draws, channels=channels, unconverged=unconverged)
+
+    return await in_turn(here, format, made)
 
 
 @router.get(

@@ -20,12 +20,12 @@ from api.exchange import (
     respond,
     respond_samples,
 )
-from api.exports import ChosenChannels, export_responses, media_type, respond_export
+from api.exports import ChosenChannels, export_responses, in_turn, media_type, respond_export
 from api.openapi import array_request, array_response
 from api.routes import Limit, Offset, page, problems
 from api.rows import ModelRow
 from fitter.errors import SpecError
-from fitter.export import subject, target, targets
+from fitter.export import subject, targets
 from fitter.models.describe import default, describe
 from fitter.spec import OPTIONS, ModelSpec, model_spec
 
@@ -141,20 +141,23 @@ def sample(id: str, request: Request, wanted: schemas.SampleRequest, here: Here)
     "/v1/models/{id}/export/{format}", response_class=Response,
     responses={**export_responses(tables=False), **problems(404, 422)},
 )  # fmt: skip
-def export(
+async def export(
     id: str, format: str, here: Here, channels: ChosenChannels = None,
     unconverged: Annotated[bool, Query(description="also a fit that did not converge")] = False,
 ) -> Response:  # fmt: skip
     """The model as a file of another program; `/v1/export-targets` lists the formats."""
-    row = here.get(ModelRow, id)
-    chosen = target(format)
-    if row.origin == "fit":
-        from fitter.fitting import FitResult  # takes a second, and only here
 
-        found = subject(FitResult.from_dict(here.service.results.read(row.id)))
-    else:
-        found = subject(fitter.models.from_dict(row.document), name=row.name)
-    return respond_export(found, chosen.name, channels=channels, unconverged=unconverged)
+    def made() -> Response:
+        row = here.get(ModelRow, id)
+        if row.origin == "fit":
+            from fitter.fitting import FitResult  # takes a second, and only here
+
+            found = subject(FitResult.from_dict(here.service.results.read(row.id)))
+        else:
+            found = subject(fitter.models.from_dict(row.document), name=row.name)
+        return respond_export(found, format, channels=channels, unconverged=unconverged)
+
+    return await in_turn(here, format, made)
 
 
 def _targets() -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from api.access import Here, Mine
 from api.blobs import Incoming
 from api.contents import respond_content
 from api.exchange import Body, checked_draws, limited, read_pairs, respond, respond_samples
-from api.exports import ChosenChannels, export_responses, respond_export
+from api.exports import ChosenChannels, export_responses, in_turn, respond_export
 from api.forms import FileForm
 from api.openapi import array_request, array_response, upload_request
 from api.problems import Problem
@@ -28,7 +28,7 @@ from api.rows import TableRow
 from api.schemas import Label
 from api.store import InUse, Missing
 from fitter.documents import dumps
-from fitter.export import subject, target
+from fitter.export import subject
 from fitter.formats.describe import describe
 from fitter.formats.fills import Fills
 from fitter.formats.read_options import ReadOptions, read_options
@@ -293,11 +293,15 @@ def picture(id: str, here: Here) -> Response:
     "/{id}/export/{format}", response_class=Response,
     responses={**export_responses(tables=True), **problems(404, 422)},
 )  # fmt: skip
-def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
+async def export(id: str, format: str, here: Here, channels: ChosenChannels = None) -> Response:
     """The table as a file of another program; `/v1/export-targets` lists the formats."""
-    row = here.get(TableRow, id)
-    found = subject(here.service.tables.open(row).table, name=row.name)
-    return respond_export(found, target(format).name, channels=channels)
+
+    def made() -> Response:
+        row = here.get(TableRow, id)
+        found = subject(here.service.tables.open(row).table, name=row.name)
+        return respond_export(found, format, channels=channels)
+
+    return await in_turn(here, format, made)
 
 
 def _channels(found: fitter.Table) -> list[str]:

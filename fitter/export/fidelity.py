@@ -26,9 +26,7 @@ _FAINTEST = 1e-9
 TOO_COARSE = 0.1
 
 
-def compared_pairs(
-    subject: Subject, count: int = _PAIRS, seed: int = _SEED
-) -> tuple[FloatArray, FloatArray]:
+def compared_pairs(subject: Subject, count: int = _PAIRS, seed: int = _SEED) -> tuple[FloatArray, FloatArray]:
     """Pairs (M, 3) to compare at. Of a model half are drawn from its own sampler, half evenly over the two
     hemispheres up to 80 deg; of a table they are its own samples."""
     if subject.table is not None:
@@ -48,6 +46,14 @@ def compared_pairs(
         drawn[0].append(np.broadcast_to(incidence, some.shape))
         drawn[1].append(some)
     return np.concatenate(drawn[0]), np.concatenate(drawn[1])
+
+
+def even_pairs(subject: Subject, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Up to ``count`` pairs (M, 3), even over the hemispheres up to 80 deg, where the subject is known."""
+    rng = np.random.default_rng(seed)
+    wi, wo = _cap(rng, 4 * count), _cap(rng, 4 * count)
+    known = np.flatnonzero(~subject.evaluate(wi, wo)[1])[:count]
+    return wi[known], wo[known]
 
 
 def fidelity(subject: Subject, path: Path, tool: str = "between its samples") -> Loss:

@@ -27,7 +27,7 @@ from fitter.formats.registry import Loss
 from fitter.formats.tensor_tree import disk_from_square
 
 FloatArray = NDArray[np.float64]
-#: Coordinates of points in pairs of patches, each even in [0, 1): (M, 2) incident, (M, 2) outgoing -> wi, wo.
+#: Pairs of patches (M, ...) and places in them (M, 4), even in [0, 1), two incident, two outgoing -> wi, wo.
 Place = Callable[[NDArray[np.intp], FloatArray], tuple[FloatArray, FloatArray]]
 
 #: f_r (M, C) of wi, wo (M, 3), and where it was not measured.
@@ -35,7 +35,7 @@ There = Callable[[FloatArray, FloatArray], tuple[FloatArray, NDArray[np.bool_]]]
 
 _CHUNK = 1 << 19
 #: Incidences in degrees that reflectances are compared at, and points of the hemisphere on a side.
-_THETA, _PHI, _ACROSS = (0, 20, 45, 60, 70), (30, 100), 128
+_THETA, _PHI, _ACROSS = (0, 20, 45, 60, 70), (30, 100), 256
 #: Seconds that Radiance's checkBSDF gets; it takes a few.
 LONGEST = 120.0
 
@@ -51,32 +51,49 @@ def radiance() -> Any:
         ) from error  # fmt: skip
 
 
-def averages(subject: Subject, shape: tuple[int, ...], place: Place, points: int) -> tuple[FloatArray, Loss]:
-    """Mean f_r of the one channel over each pair of patches, in the given shape, and what was not measured.
+class Averages:
+    """Mean f_r of the one channel over pairs of patches, and what was met on the way."""
 
-    ``points`` pairs of directions a patch, the same of Sobol's sequence in each.
-    """
-    qmc: Any = importlib.import_module("scipy.stats.qmc")
-    inner = qmc.Sobol(4, scramble=True, seed=1).random(points)
-    count = int(np.prod(shape))
-    mean, outside, asked, negative = np.zeros(count), 0, 0, 0
-    step = max(1, _CHUNK // points)
-    for start in range(0, count, step):
-        index = np.arange(start, min(start + step, count))
-        wi, wo = place(np.repeat(index, points), np.tile(inner, (len(index), 1)))
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self._asked, self._outside, self._negative = 0, 0, 0
+
+    def over(self, cells: NDArray[np.intp], place: Place, points: int) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation (n,) among ``points`` pairs of directions in each pair of patches
+        (n, ...), the same in each: of Sobol's sequence, and those with the directions exchanged, so that what
+        is reciprocal stays so."""
+        qmc: Any = importlib.import_module("scipy.stats.qmc")
+        half = qmc.Sobol(4, scramble=True, seed=1).random(points // 2)
+        inner = np.concatenate([half, 1 - half[:, [2, 3, 0, 1]]])
+        mean, spread = np.zeros(len(cells)), np.zeros(len(cells))
+        step = max(1, _CHUNK // points)
+        for start in range(0, len(cells), step):
+            some = cells[start : start + step]
+            wi, wo = place(np.repeat(some, points, axis=0), np.tile(inner, (len(some), 1)))
+            value = self._value(wi, wo).reshape(len(some), points)
+            mean[start : start + step] = value.mean(axis=1)
+            spread[start : start + step] = value.std(axis=1)
+        return mean, spread
+
+    def _value(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
         above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
         value = np.zeros(len(wi))
-        found, beyond = subject.evaluate(wi[above], wo[above])
+        found, beyond = self._subject.evaluate(wi[above], wo[above])
         value[above] = np.where(np.isfinite(found[:, 0]), np.maximum(found[:, 0], 0.0), 0.0)
-        outside, asked = outside + int(beyond.sum()), asked + len(found)
-        negative += int((found[:, 0] < 0).sum())
-        mean[index] = value.reshape(len(index), points).mean(axis=1)
-    said = f"Patches are averages over {points} pairs of directions each"
-    if outside:
-        said += f"; {outside / asked:.1%} of them lie outside what was measured, where the nearest is taken"
-    if negative:
-        said += f"; {negative / asked:.2%} were negative and count as 0"
-    return mean.reshape(shape), Loss("not-covered" if outside else "averaged", f"{said}.")
+        self._asked += len(found)
+        self._outside += int(beyond.sum())
+        self._negative += int((found[:, 0] < 0).sum())
+        return value
+
+    def note(self, what: str) -> Loss:
+        """``what`` the averages are over, and how much was not measured."""
+        said = f"Patches are averages over {what}, scaled to each incidence's reflectance where lobes are"
+        if self._outside:
+            share = self._outside / self._asked
+            said += f"; {share:.1%} of them lie outside what was measured, where the nearest is taken"
+        if self._negative:
+            said += f"; {self._negative / self._asked:.2%} were negative and count as 0"
+        return Loss("not-covered" if self._outside else "averaged", f"{said}.")
 
 
 def wrapped(subject: Subject, path: Path, basis: str, data: bytes) -> None:

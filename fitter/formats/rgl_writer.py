@@ -78,8 +78,20 @@ NARROWEST, WIDEST = 0.005, 0.2
 _COMPARED = 4000
 
 
-def write_rgl(table: Table, path: Path) -> list[Loss]:
+@dataclass(frozen=True)
+class Layout:
+    """Where the samples of a table lie: incidences (T,), (P,), the lobe's width, samples on each axis."""
+
+    theta_i: FloatArray
+    phi_i: FloatArray
+    alpha: float
+    steps: int
+
+
+def write_rgl(table: Table, path: Path, layout: Layout | None = None) -> list[Loss]:
     """Write ``table`` interpolated at its incidences (or as many as it takes) and some between them.
+
+    layout : default as coarse as keeps to the table's own values.
 
     Samples outside what was measured hold the interpolant's continuation, for renderers, and are marked in a
     field of their own, by which this program's reader knows them. Raises TableError for tables of one
@@ -96,9 +108,12 @@ def write_rgl(table: Table, path: Path) -> list[Loss]:
     refuse_in_plane(table, "an RGL file")
     index = np.flatnonzero(table.mask)
     wi, wo = table.directions(index)
-    alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
-    theta_i, phi_i = _incidences(table, wi)
-    steps = next(steps for most, steps in _STEPS if theta_i.size * phi_i.size <= most)
+    if layout is None:
+        alpha = lobe_width(wi, wo, table.value[index].mean(axis=1))
+        theta_i, phi_i = incidences(table, wi)
+        steps = next(steps for most, steps in _STEPS if theta_i.size * phi_i.size <= most)
+    else:
+        theta_i, phi_i, alpha, steps = layout.theta_i, layout.phi_i, layout.alpha, (layout.steps,)
     adaptive, measured, above = _interpolated(table, theta_i, phi_i, alpha, steps[0], order)
     half, most = _change(table, adaptive, order)
     for count in steps[1:]:
@@ -177,11 +192,12 @@ def repeated(order: Sequence[int]) -> list[Loss]:
     return [Loss("channels", "The one channel is there three times, as R, G and B.")]
 
 
-def _incidences(table: Table, wi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Incident angles (T,) and azimuths (P,): the table's own, and some between them."""
+def incidences(table: Table, wi: FloatArray, widest: float = _ISOTROPIC[1]) -> tuple[FloatArray, FloatArray]:
+    """Incident angles (T,) and azimuths (P,): the table's own, and some between them, of isotropic surfaces
+    no further than ``widest`` apart."""
     theta, phi = directions.spherical_from_vector(wi)
     if table.symmetry == "isotropic":
-        return _nodes(theta, *_ISOTROPIC), np.zeros(1)
+        return _nodes(theta, _ISOTROPIC[0], widest), np.zeros(1)
     # Both ends of a whole turn, as in the database.
     phi = np.concatenate([phi[theta > 1e-3], [-np.pi, np.pi]])
     return _nodes(theta, *_ANISOTROPIC), _nodes(phi, *_AZIMUTHS)

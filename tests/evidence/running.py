@@ -24,7 +24,7 @@ def run(chosen: Sequence[Study], names: Sequence[str], share: float, seed: int) 
     began = time.perf_counter()
     if names:
         chosen = [study for study in chosen if study.subject == "model"]
-    work = [(study, name) for study in chosen for name in names or study.models()]
+    work = [(study, name) for study in chosen for name in names or study.asked(share, seed)]
     rows: dict[str, dict[str, dict[str, Any]]] = {study.name: {} for study in chosen}
     for study, name, row in _rows(work, share, seed):
         rows[study.name][name] = row

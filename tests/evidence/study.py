@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,7 +27,8 @@ class Study:
 
     claim : what has to hold, in a sentence for the page; judge : (model name, share, seed) -> Outcome, in a
     process of its own; ``share`` scales the number of points; skipped : model name -> why it is not asked;
-    subject : what ``models`` names. A run of chosen models leaves out studies of other subjects.
+    subject : what ``models`` names. A run of chosen models leaves out studies of other subjects. least : of a
+    study whose cost is in its subjects, not their points, a share asks a share of them, this many at least.
     """
 
     name: str
@@ -37,6 +39,14 @@ class Study:
     judge: Callable[[str, float, int], Outcome]
     skipped: Mapping[str, str] = field(default_factory=dict[str, str])
     subject: str = "model"
+    least: int | None = None
+
+    def asked(self, share: float, seed: int) -> list[str]:
+        """The names that a run asks of: all, or a share of them, chosen by the seed."""
+        names = list(self.models())
+        if self.least is None or share >= 1:
+            return names
+        return random.Random(seed).sample(names, min(len(names), max(self.least, round(share * len(names)))))
 
 
 def studies() -> dict[str, Study]:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,6 +143,47 @@ def test_the_service(tmp_path: Path) -> None:
             assert problem.status_code == 422, problem.text
             assert problem.headers["content-type"] == "application/problem+json"
         assert client.get("/v1/models/0/export/c").status_code == 404
+
+
+def test_exports_take_turns_and_hold_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fastapi import Response
+
+    from api.app import create_app
+    from api.exports import respond_export
+    from api.routes import models as routes
+    from api.service import EXPORTS
+    from api.settings import Settings
+    from tests.api.conftest import TestClient
+
+    go, running, most = threading.Event(), [0], [0]
+
+    def held(what: Any, to: str, **options: Any) -> Any:
+        if to == "gltf":
+            running[0] += 1
+            most[0] = max(most[0], running[0])
+            assert go.wait(60)
+            running[0] -= 1
+            return Response()
+        return respond_export(what, to, **options)
+
+    monkeypatch.setattr(routes, "respond_export", held)
+    values = {name: np.asarray(value).tolist() for name, value in make("ward").values.items()}
+    with (
+        TestClient(create_app(Settings(folder=tmp_path / "data"))) as client, ThreadPoolExecutor(50) as pool,
+    ):  # fmt: skip
+        link = client.post("/v1/models", json={"model": "ward", "values": values}).json()["links"]["export"]
+        # More than the server has threads.
+        asked = [pool.submit(client.get, link.format(format="gltf")) for _ in range(48)]
+        try:
+            while running[0] < EXPORTS:
+                time.sleep(0.01)
+            assert client.get(link.format(format="glsl")).status_code == 200
+            assert client.get("/v1/models").status_code == 200
+            assert not any(one.done() for one in asked)
+        finally:
+            go.set()
+        assert {one.result().status_code for one in asked} == {200}
+    assert most[0] == EXPORTS
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ import fitter
 from fitter import models
 from fitter.compression import compress
 from fitter.errors import FitterError, SpecError
-from fitter.export import subject, target, write
+from fitter.export import subject, table_layout, target, write
 from fitter.export.fidelity import compared_pairs
 from fitter.export.subject import only
+from fitter.formats import rgl_writer
+from fitter.formats.source import Source
+from fitter.formats.tensor_file import fields
 from tests.export.conftest import held_to_the_contract, make
 
 #: Of each format the 95 % quantile of the relative difference from "torrance_sparrow" (alpha 0.15), and what
@@ -129,3 +133,31 @@ def test_a_look_up_texture_is_read_as_its_header_says(tmp_path: Path) -> None:
                 found += weight[:, None] * picture[i, k * 64 + j]
     ours = np.asarray(model.evaluate(wi, wo))
     assert np.quantile(np.abs(found - ours) / ours, 0.95) < 0.02
+
+
+def test_a_table_that_was_an_rgl_file_is_one_again(tmp_path: Path) -> None:
+    write(make("oren_nayar"), "rgl", tmp_path / "a.bsdf")
+    told = write(fitter.load(tmp_path / "a.bsdf"), "rgl", tmp_path / "b.bsdf")
+    assert "exact" in [note.code for note in told.notes]
+    one, other = (fields(Source(tmp_path / name)) for name in ("a.bsdf", "b.bsdf"))
+    for name in ("theta_i", "phi_i", "ndf", "sigma", "vndf", "rgb", "valid"):
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_incidences_are_as_close_as_a_lobe_takes() -> None:
+    """What is expected of a layout is what its file does, at other pairs."""
+    paint = subject(fitter.load(Path(__file__).resolve().parents[2] / "data" / "tables" / "glossy_paint.csv"))
+    found = table_layout.chosen(paint)
+    assert found is not None
+    layout, expected = found
+    assert 0.003 < expected < 0.007
+    assert np.rad2deg(np.diff(layout.theta_i)).max() < 2
+    coarse = replace(layout, theta_i=layout.theta_i[::4], steps=64)
+    wi, wo = table_layout.table_pairs(paint, 2000, 5)
+    ours, _ = paint.evaluate(wi, wo)
+    bare = rgl_writer.parameterisation(coarse.theta_i, coarse.phi_i, coarse.alpha, coarse.steps)
+    file = replace(bare, data=rgl_writer.sampled(paint.evaluate, 3, bare)[0])
+    change = np.abs(file.evaluate(wi, wo) / wo[:, 2:] - ours) / ours
+    foretold = table_layout.expected(paint, coarse, wi, wo, ours)
+    assert foretold == pytest.approx(np.quantile(change, 0.95), rel=0.01)
+    assert foretold > 0.02
