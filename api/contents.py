@@ -35,7 +35,10 @@ async def respond_content(request: Request, blobs: Blobs, sha256: str, size: int
         start, stop = part
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
     headers |= {"Content-Length": str(stop - start), "Content-Disposition": "attachment"}
-    file = await to_thread.run_sync(blobs.open, sha256)
+    try:
+        file = await to_thread.run_sync(blobs.open, sha256)
+    except FileNotFoundError as error:  # deleted since its row was read
+        raise Problem(404, "not-found", "the table's bytes are gone") from error
     return StreamingResponse(
         _pieces(file, start, stop), 200 if part is None else 206, headers, "application/octet-stream"
     )
@@ -64,7 +67,7 @@ def asked_range(header: str, size: int) -> tuple[int, int] | None:
 async def _pieces(file: BinaryIO, start: int, stop: int) -> AsyncIterator[bytes]:
     """The bytes from ``start`` to ``stop``. Packed ones are unpacked up to there, in time but not memory."""
     try:
-        at = 0
+        at = await to_thread.run_sync(file.seek, start) if file.seekable() else 0
         while at < stop:
             piece = await to_thread.run_sync(file.read, min(PIECE, (start if at < start else stop) - at))
             if not piece:

@@ -35,7 +35,9 @@ class Heads:
                 ended.set()
                 await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-        inner: Scope = {**scope, "method": "GET"}
+        # A range is a GET's alone (14.2).
+        headers = [(k, v) for k, v in scope["headers"] if k not in (b"range", b"if-range")]
+        inner: Scope = {**scope, "method": "GET", "headers": headers}
         try:
             await self._app(inner, gone, headed)
         finally:

@@ -128,7 +128,8 @@ def install(app: FastAPI) -> None:
             found = document(error.status_code, code, str(error.detail))
         headers = dict(error.headers or {})
         if error.status_code == 405:
-            headers["Allow"] = ", ".join(_methods(request.scope))
+            # Below a mount, whose own routes the application doesn't list, what those say stays.
+            headers["Allow"] = ", ".join(_methods(request.scope)) or headers.get("allow", "GET, HEAD")
         return respond(found, request.scope, headers)
 
     async def on_validation(request: Request, error: Exception) -> Response:
@@ -160,7 +161,7 @@ def media_type(request: Request) -> str:
 
 
 def is_json(kind: str) -> bool:
-    return kind == JSON or kind.endswith("+json")
+    return kind == JSON or (kind.startswith("application/") and kind.endswith("+json"))
 
 
 def _methods(scope: Scope) -> list[str]:

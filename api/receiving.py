@@ -38,7 +38,9 @@ async def receive(request: Request, sink: Callable[[bytes], None]) -> None:
 
 
 def copy(blobs: Blobs, sha256: str, incoming: Incoming) -> None:
-    """A blob's bytes once more, as if they had been uploaded."""
+    """A blob's bytes once more, as if they had been uploaded. Raises OSError where they are others by now."""
     with blobs.open(sha256) as file:
         while piece := file.read(CHUNK):
             incoming.write(piece)
+    if incoming.finish() != sha256:
+        raise OSError(f"the kept file {sha256} is damaged")

@@ -25,7 +25,7 @@ def report(here: Mine, row: ModelRow, kind: Kind) -> bytes:
         kept = here.service.results.report(name, kind)
         if kept is None:
             record = here.service.results.report(name, "json")
-            if kind == "pdf" and record is not None:
+            if kind == "pdf" and record is not None and _is_current(record):
                 # Drawn when somebody wants it: most are looked at in a browser.
                 _draw(here, name, record)
             else:
@@ -35,6 +35,11 @@ def report(here: Mine, row: ModelRow, kind: Kind) -> bytes:
             kept = here.service.results.report(name, kind)
     assert kept is not None
     return kept
+
+
+def _is_current(record: bytes) -> bool:
+    """Whether a kept record is one that this version draws; those of earlier ones are made anew."""
+    return bool(orjson.loads(record)["version"] == importlib.import_module("fitter.report.report").VERSION)
 
 
 def _draw(here: Mine, name: str, record: bytes) -> None:

@@ -19,5 +19,9 @@ def coverage_factor(degrees: ArrayLike, level: float) -> NDArray[np.float64]:
 def effective_degrees(variance: float, parts: Iterable[tuple[float, float]]) -> float:
     """Degrees of freedom of a variance that is the sum of parts, each with its own: the Welch-Satterthwaite
     formula (GUM G.4.1), and of it the whole number below, the cautious side."""
-    terms = sum(v * v / degrees for v, degrees in parts if math.isfinite(v) and math.isfinite(degrees))
-    return max(1.0, math.floor(variance * variance / terms)) if terms > 0 else math.inf
+    if not 0.0 < variance < math.inf:
+        return math.inf
+    known = ((v / variance, degrees) for v, degrees in parts if math.isfinite(v) and math.isfinite(degrees))
+    terms = sum(share * share / degrees for share, degrees in known)
+    # Rounding must not make 12 of 13.
+    return max(1.0, float(math.floor((1.0 + 1e-9) / terms))) if terms > 0 else math.inf

@@ -29,3 +29,10 @@ def test_parts_that_are_known_leave_no_doubt():
     assert effective_degrees(2.0, [(1.0, math.inf), (1.0, math.inf)]) == math.inf
     assert effective_degrees(1.0, [(math.nan, 3.0)]) == math.inf
     assert effective_degrees(1.0, [(1.0, 0.4)]) == 1.0
+    assert effective_degrees(math.nan, [(1.0, 3.0)]) == math.inf
+
+
+@pytest.mark.parametrize("variance", [1e-200, 1.0, 1e160])
+def test_rounding_takes_no_degree_away(variance: float):
+    for degrees in range(1, 2000):
+        assert effective_degrees(variance, [(variance, float(degrees))]) == degrees

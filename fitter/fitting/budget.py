@@ -21,7 +21,7 @@ from fitter.errors import FitError
 from fitter.fitting import calibration, cost_model, reduction
 from fitter.fitting.compiling import compiled_here
 from fitter.fitting.cost_model import Book, Prediction
-from fitter.fitting.effort import Case, Effort
+from fitter.fitting.effort import Case, Effort, searched
 from fitter.fitting.layout import Layout
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
@@ -161,7 +161,8 @@ def _of_fit(request: FitSpec, places: Layout, data: Usable, channels: int) -> Ca
 
 def _effort(request: FitSpec, case: Case) -> Effort:
     starts = request.starts if request.starts is not None else case.usual_starts
-    return Effort(min(request.subset, case.samples), starts, request.polish)
+    subset = searched(case.places, request, case.samples, case.channels // case.groups)
+    return Effort(min(subset, case.samples), starts, request.polish)
 
 
 def learned(book: Book, case: Case, effort: Effort, result: FitResult, deciding: float = 0.0) -> Book:

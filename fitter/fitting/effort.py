@@ -34,8 +34,21 @@ MORE = (4, 16)
 EXCHANGES = 40
 #: Until runs say it: how much larger the error of a subset is than that of as many independent samples.
 SPREAD = 2.0
+#: Values of a table, at most, on all of which a single parameter is scanned.
+SCANNED = 3 * exchange.MOST
 #: What a search with the usual starts may miss, and one with fewer. Usual numbers are chosen for 99.9 %.
 MISSED, LIKELY_MISSED = 1e-3, 0.3
+
+
+def searched(places: Layout, request: FitSpec, samples: int, channels: int) -> int:
+    """How many samples a fit of a group of channels searches.
+
+    Scanning one parameter is cheap. So tables for which it is are looked at whole: the flank of a narrow lobe
+    may be a few samples, which a subset leaves out. Who states another effort than the usual one gets that.
+    """
+    usual = request.starts is None and request.subset == USUAL and request.polish == "full"
+    few = samples <= exchange.MOST and samples * channels <= SCANNED
+    return max(USUAL, samples) if usual and few and len(places.entries) == 1 else request.subset
 
 
 @dataclass(frozen=True)

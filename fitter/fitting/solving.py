@@ -15,6 +15,7 @@ from fitter.fitting import exchange, metrics, nlopt_solver, reduction, search, s
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import curvature, natural
+from fitter.fitting.effort import searched
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import Polished, polish
@@ -44,7 +45,7 @@ def solve(
     Raises FitError where the objective is not finite.
     """
     metric, floor = data.metric, data.floor[list(group)]
-    subset = _subset(places, request)
+    subset = searched(places, request, len(data), len(group))
     small = data.fits_in(subset)
     complete = request.polish == "full" or small
     part = reduced = None if small or not complete else reduction.reduce(places, data, group)
@@ -133,14 +134,6 @@ def solve(
     evidence["reduced"] = reduced is not None
     examined = len(index) if reduced is None else len(data)
     return Group(end, found, estimates, evidence, examined, passes, error, chosen)
-
-
-def _subset(places: Layout, request: FitSpec) -> int:
-    """The samples that are searched. Scanning one parameter is cheap: tables for which it is are looked at
-    whole, since a narrow lobe's flank may be a few samples, and a subset leaves them out. Who states the
-    effort gets that."""
-    usual = request.starts is None and request.subset >= exchange.SUBSET
-    return max(request.subset, exchange.MOST) if usual and len(places.entries) == 1 else request.subset
 
 
 def _halfway(

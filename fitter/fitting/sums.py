@@ -97,30 +97,46 @@ def scores(
 
     inverse : (P, P) of the curvature. It tells the leverages h: a sample that pulls the fit towards itself
     has a small residual whatever its error, so that residuals are divided by 1 - h (HC3; MacKinnon and White
-    1985, J. Econom. 29, 305). Where few samples tell a parameter, its sandwich is uncertain itself: a sum of
-    squares with the weights b = a^2 / (1 - h), where a is what an error of the sample does to the parameter,
-    has (sum b)^2 / sum b^2 degrees of freedom (Satterthwaite 1946, Biometrics Bull. 2, 110; for the sandwich
-    Bell and McCaffrey 2002, Surv. Methodol. 28, 169).
+    1985, J. Econom. 29, 305). The channels of a sample may share its error: their pull at shared parameters
+    counts together, that at their own for each by itself. Where few samples tell a parameter, its sandwich is
+    uncertain itself: a sum of squares with the weights b = a^2 / (1 - h), where a is what an error of the
+    sample does to the parameter, has (sum b)^2 / sum b^2 degrees of freedom (Satterthwaite 1946, Biometrics
+    Bull. 2, 110; for the sandwich Bell and McCaffrey 2002, Surv. Methodol. 28, 169).
     jacobian : (Q, P) of the parameters in their own units. step : how many samples each stands for.
     """
     t, c = len(layout.entries), len(floor)
     u, inner = p[:t], p[t:].reshape(-1, c)
     own = layout.positions(len(p), c)
     bread = inverse[own[:, :, None], own[:, None, :]]  # (C, F + M, F + M)
+    alone = _of_the_channels_own(layout, inverse, own)
     # In units of the u that the curvature alone gives: an open parameter may move by 1e80 of its own unit.
-    alone = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, inverse, jacobian), 0.0))
-    effect = jacobian @ inverse / np.where(alone > 0, alone, 1.0)[:, None]
+    least = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, inverse, jacobian), 0.0))
+    effect = jacobian @ inverse / np.where(least > 0, least, 1.0)[:, None]
     influence = effect[:, own].swapaxes(0, 1)  # (C, Q, F + M)
 
     def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)
-        found = _scores(layout, metric, u, inner, floor, bread, influence, arrays(block), chunks)
+        found = _scores(layout, metric, u, inner, floor, bread, alone, influence, arrays(block), chunks)
         return [np.asarray(part) for part in found]
 
     outer, (x2, x4), (b, b2) = (
         functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
     )  # fmt: skip
     return Scores(step * outer, _effective(x2, x4, step), _effective(b, b2, step))
+
+
+def _of_the_channels_own(layout: Layout, inverse: FloatArray, own: NDArray[np.intp]) -> FloatArray:
+    """(C, F + M, F + M) the inverse's rows and columns ``own`` (C, F + M), the parameters that channels share
+    held: what is left is of those that each has for itself."""
+    shared = np.array([k for k, (_, channel) in enumerate(layout.entries) if channel is None], np.intp)
+    common = np.linalg.pinv(inverse[np.ix_(shared, shared)], rcond=1e-12, hermitian=True)
+    found = np.zeros((*own.shape, own.shape[1]))
+    for c, where in enumerate(own):
+        mine = ~np.isin(where, shared)
+        rest = where[mine]
+        across = inverse[np.ix_(rest, shared)]
+        found[c][np.ix_(mine, mine)] = inverse[np.ix_(rest, rest)] - across @ common @ across.T
+    return found
 
 
 def _effective(first: FloatArray, second: FloatArray, step: int) -> FloatArray:
@@ -130,8 +146,8 @@ def _effective(first: FloatArray, second: FloatArray, step: int) -> FloatArray:
 
 @kept("layout", "metric")
 def _scores(
-    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, bread: Array, influence: Array,
-    block: Arrays, chunks: Array,
+    layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, bread: Array, alone: Array,
+    influence: Array, block: Arrays, chunks: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     (m, c), own, q = inner.shape, len(layout.free), influence.shape[1]
 
@@ -140,16 +156,18 @@ def _scores(
         f, columns = values_and_columns(layout, u, inner, pair)
         value, slope = residual(metric, f.T, goal.T, w.T, floor)
         x = columns(slope)  # (C, F + M, n)
-        room = jnp.maximum(1.0 - jnp.einsum("cin,cij,cjn->cn", x, bread, x), LEAST)
+        whole, part = (jnp.einsum("cin,cij,cjn->cn", x, by, x) for by in (bread, alone))
+        room = jnp.maximum(1.0 - part - jnp.sum(whole - part, axis=0), LEAST)
         flat = of_entries(layout, x * (value / room)[:, None, :])
         energy = jnp.square(x[:, own:])
         moments = (energy.sum(axis=2).T, jnp.square(energy).sum(axis=2).T)
 
         def of_channel(total: Array, here: tuple[Array, Array, Array]) -> tuple[Array, None]:
-            return total + jnp.square(here[0] @ here[1]) / here[2], None
+            return total + (here[0] @ here[1]) / jnp.sqrt(here[2]), None
 
         # By channel: of many channels the influences of all at once would not fit in memory.
-        b, _ = jax.lax.scan(of_channel, jnp.zeros((q, CHUNK)), (influence, x, room))
+        a, _ = jax.lax.scan(of_channel, jnp.zeros((q, CHUNK)), (influence, x, room))
+        b = jnp.square(a)
         spread = jnp.stack([b.sum(axis=1), jnp.square(b).sum(axis=1)])
         return carry[0] + flat @ flat.T, carry[1] + jnp.stack(moments), carry[2] + spread
 

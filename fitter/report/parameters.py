@@ -203,7 +203,7 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
                     "text": {
                         "estimate": text.value, "standard_uncertainty": text.uncertainty,
                         "expanded_uncertainty": _own(k * u, text.uncertainty),
-                        "factor": _own(k, text.uncertainty, 3),
+                        "factor": NOT_STATED if text.uncertainty == NOT_STATED else significant(k, 3),
                         "fit": _own(float(u_fit[c]), text.uncertainty),
                         "scale": _own(u_scale, text.uncertainty) if u_scale > 0 else "0",
                     },
@@ -213,9 +213,9 @@ def _rows(fitted: Fitted, posterior: Posterior | None, scale: float) -> list[dic
     return rows
 
 
-def _own(component: float, beside: str, digits: int = 2) -> str:
+def _own(component: float, beside: str) -> str:
     """A component of u to two digits of its own; "—" where u itself is not stated."""
-    return significant(component, digits) if beside != NOT_STATED or component > 0 else NOT_STATED
+    return significant(component, 2) if beside != NOT_STATED or component > 0 else NOT_STATED
 
 
 def _state(fixed: bool, at_bound: str | None, u: float) -> str:

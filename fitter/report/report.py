@@ -11,7 +11,7 @@ from fitter.documents import read_document, write_bytes, write_document
 from fitter.errors import SpecError
 
 KIND = "brdf-fitter/report"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)

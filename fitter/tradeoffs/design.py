@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, TypeVar
 
-from fitter.fitting import candidates
+from fitter.fitting import candidates, exchange
 from fitter.fitting.layout import layout
 from fitter.spec import FitSpec, Metric, ModelSpec, Solver, TradeoffSpec
 from fitter.table import Table
@@ -25,7 +25,7 @@ SOLVERS: tuple[Solver, ...] = ("nlopt",)
 METRICS: tuple[Metric, ...] = ("cosine", "log", "cbrt")
 TOLERANCES = (0.001, 0.01, 0.05, 0.2)
 #: Tables that fit into this many samples are searched for the reference as a whole.
-REFERENCE_SUBSET = 16_384
+REFERENCE_SUBSET = exchange.MOST
 REFERENCE_STARTS = 256
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import io
 import socket
 import struct
 from collections.abc import Iterator
@@ -14,10 +16,15 @@ import httpx
 import numpy as np
 import psutil
 import pytest
+import zstandard
 
+from api.blobs import Blobs
 from api.client import Client
-from api.contents import asked_range
+from api.contents import _pieces, asked_range
 from api.problems import Problem
+from api.receiving import copy
+from api.storage import Folder
+from fitter.errors import FitterError
 
 from .conftest import listening, small_table
 from .test_server import Server
@@ -106,12 +113,83 @@ def test_a_lost_stream_is_taken_up_where_it_broke_off(client: Any) -> None:
                 yield came.content[: len(came.content) // 2]
                 raise httpx.ReadError("gone")
 
-            return httpx.Response(came.status_code, content=pieces())
+            part = {"content-range": came.headers["content-range"]}
+            return httpx.Response(came.status_code, content=pieces(), headers=part)
 
     with httpx.Client(transport=Breaks(), base_url="http://x") as http:
         assert b"".join(Client(http=http).content(id)) == body
     half = f"bytes={len(body) // 2}-"
     assert Breaks.asked == ["bytes=0-", half, half]
+
+
+@pytest.mark.parametrize(
+    ("second", "whole"),
+    [
+        (httpx.Response(200, content=b"everything once more"), False),
+        (httpx.Response(206, content=b"x", headers={"content-range": "bytes 0-0/10"}), False),
+        (httpx.Response(416, headers={"content-range": "bytes */10"}), True),
+    ],
+    ids=["no ranges", "another range", "nothing was left"],
+)
+def test_a_stream_is_not_joined_to_what_does_not_belong_to_it(second: httpx.Response, whole: bool) -> None:
+    asked: list[httpx.Request] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request)
+
+        def pieces() -> Iterator[bytes]:
+            yield b"0123456789"
+            raise httpx.ReadError("gone")
+
+        return httpx.Response(206, content=pieces()) if len(asked) == 1 else second
+
+    with httpx.Client(transport=httpx.MockTransport(answer), base_url="http://x") as http:
+        content = Client(http=http).content("id")
+        if whole:
+            assert b"".join(content) == b"0123456789"
+        else:
+            with pytest.raises(FitterError):
+                list(content)
+    assert asked[1].headers["range"] == "bytes=10-"
+    assert {request.headers["accept-encoding"] for request in asked} == {"identity"}
+
+
+def test_a_damaged_file_is_no_shorter_table(tmp_path: Path) -> None:
+    """A packed file that ends too early unpacks without an error: its hash tells."""
+    blobs = Blobs(Folder(tmp_path / "blobs"), tmp_path)
+    with blobs.incoming(1 << 20) as incoming:
+        incoming.write(b"theta_i,theta_o,phi,value\n" * 2000)
+        sha256 = incoming.finish()
+        incoming.pack()
+        blobs.keep(incoming, sha256)
+    (packed,) = (tmp_path / "blobs").rglob("*.zst")
+    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size // 2])
+    with blobs.incoming(1 << 20) as again, pytest.raises((OSError, zstandard.ZstdError)):
+        copy(blobs, sha256, again)
+
+
+def test_a_range_of_a_plain_file_reads_no_more(tmp_path: Path) -> None:
+    class Counted(io.BytesIO):
+        came = 0
+
+        def read(self, size: int | None = -1, /) -> bytes:
+            found = super().read(size)
+            Counted.came += len(found)
+            return found
+
+    async def last() -> bytes:
+        return b"".join([piece async for piece in _pieces(Counted(bytes(1 << 20)), (1 << 20) - 3, 1 << 20)])
+
+    assert (asyncio.run(last()), Counted.came) == (bytes(3), 3)
+
+
+def test_bytes_that_are_gone_are_not_found(serving: Any) -> None:
+    service = serving(workers=0)
+    id = service.post("/v1/tables", content=small_table()).json()["id"]
+    for path in (service.app.state.service.settings.folder / "blobs").rglob("*"):
+        if path.is_file():
+            path.unlink()
+    assert service.get(f"/v1/tables/{id}/content").status_code == 404
 
 
 def test_a_client_that_goes_leaves_no_file_open(client: Any) -> None:

@@ -79,6 +79,18 @@ def test_the_sandwich_allows_for_the_samples_own_pull():
         np.testing.assert_allclose(found, u, rtol=1e-8, err_msg=name.name)
 
 
+def test_columns_that_repeat_a_channel_tell_no_more_than_it():
+    """Copies share every error: neither u nor its degrees of freedom change."""
+    one = scattered(models.create("ward", channels=["c"], kd=0.2, ks=0.1, alpha=0.1), seed=5, n=60, noise=0.1)
+    many = Table(wi=one.wi, wo=one.wo, value=np.repeat(one.value, 3, axis=1), negatives="keep")
+    alone, copied = (fitter.fit(table, "ward", metric="cbrt") for table in (one, many))
+    for name, estimate in alone.parameters.items():
+        other = copied.parameters[name]
+        for what in ("standard_uncertainty", "degrees_of_freedom"):
+            found, expected = getattr(other, what), float(np.ravel(getattr(estimate, what))[0])
+            np.testing.assert_allclose(found, expected, rtol=1e-3, err_msg=f"{what} of {name}")
+
+
 def test_few_samples_that_tell_a_parameter_give_its_u_few_degrees_of_freedom():
     """Of 400 samples with a lobe in 5 of them ks has about 5, kd about as many as see nothing but it."""
     mirror = np.arange(400) < 5

@@ -48,7 +48,7 @@ def test_the_schema_is_stable(
     fit = make_fit(table)
     record = strict(build(table, fit, make_posterior(fit)))
     assert tuple(record) == SECTIONS
-    assert (record["kind"], record["version"]) == ("brdf-fitter/report", 1)
+    assert (record["kind"], record["version"]) == ("brdf-fitter/report", 2)
     assert set(record["parameters"]["rows"][0]) == {
         "name", "channel", "label", "display", "unit", "description", "linear", "lower", "upper", "prior",
         "estimate", "standard_uncertainty", "effective_degrees_of_freedom", "coverage_factor",
