@@ -86,7 +86,12 @@ def agree(data: bytes) -> bool:
     if plain is None:
         return False
     head, rows = plain
-    same_head, same = delimited_header._word_by_word(Source(data, "t"))
+    careful = outcome(lambda: delimited_header._word_by_word(Source(data, "t")))
+    if isinstance(careful[0], dict):
+        # As many lines as are stated, one of them blank: that is seen when the values are read.
+        assert outcome(lambda: rows.floats([0])) == outcome(lambda: rows.texts(0)) == careful
+        return True
+    same_head, same = careful
     assert head == same_head
     assert list(rows.names) == list(same.names)
     for use in ([0, 1, 2], [2], [1, 0]):
