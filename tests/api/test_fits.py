@@ -123,6 +123,18 @@ def test_reports(client: Any, fit: str) -> None:
     assert client.get(f"/v1/fits/{fit}/report.html").content == page.content
 
 
+def test_a_report_that_an_earlier_version_kept_is_made_anew(serving: Any, table_bytes: bytes) -> None:
+    service = serving()
+    table = service.post("/v1/tables", content=table_bytes).json()["id"]
+    asked = {"table": table, "model": "oren_nayar"}
+    job = service.post("/v1/fits", json=asked, headers={"Prefer": "wait=60"}).json()
+    fit = job["results"][0]["id"]
+    results = service.app.state.service.results
+    results.write_report(fit, "json", b'{"kind": "brdf-fitter/report", "version": 1}')
+    assert service.get(f"/v1/fits/{fit}/report.pdf").content.startswith(b"%PDF-")
+    assert service.get(f"/v1/fits/{fit}/report.json").json()["version"] == 2
+
+
 @pytest.mark.parametrize(
     "body",
     [
