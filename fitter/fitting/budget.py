@@ -21,7 +21,7 @@ from fitter.errors import FitError
 from fitter.fitting import calibration, cost_model, reduction
 from fitter.fitting.compiling import compiled_here
 from fitter.fitting.cost_model import Book, Prediction
-from fitter.fitting.effort import Case, Effort, searched
+from fitter.fitting.effort import Case, Effort
 from fitter.fitting.layout import Layout
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
@@ -148,7 +148,7 @@ def _margin(prediction: Prediction) -> float:
 def remember_compiled(request: FitSpec, places: Layout, data: Usable, channels: int) -> None:
     """Note that the programs of a fit are compiled now."""
     case = _of_fit(request, places, data, channels)
-    compiled_here().update(case.programs(_effort(request, case)).values())
+    compiled_here().update(case.programs(case.effort(request)).values())
 
 
 def _of_fit(request: FitSpec, places: Layout, data: Usable, channels: int) -> Case:
@@ -157,12 +157,6 @@ def _of_fit(request: FitSpec, places: Layout, data: Usable, channels: int) -> Ca
     usual = candidates.default_counts(len(places.free))[1]
     reducible = reduction.applies(places, data.metric, data.table, len(data))
     return Case("", places, request.solver, data.metric, len(data), channels, 1, usual, 0, reducible)
-
-
-def _effort(request: FitSpec, case: Case) -> Effort:
-    starts = request.starts if request.starts is not None else case.usual_starts
-    subset = searched(case.places, request, case.samples, case.channels // case.groups)
-    return Effort(min(subset, case.samples), starts, request.polish)
 
 
 def learned(book: Book, case: Case, effort: Effort, result: FitResult, deciding: float = 0.0) -> Book:

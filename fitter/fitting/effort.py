@@ -48,7 +48,7 @@ def searched(places: Layout, request: FitSpec, samples: int, channels: int) -> i
     """
     usual = request.starts is None and request.subset == USUAL and request.polish == "full"
     few = samples <= exchange.MOST and samples * channels <= SCANNED
-    return max(USUAL, samples) if usual and few and len(places.entries) == 1 else request.subset
+    return samples if usual and few and len(places.entries) == 1 else request.subset
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,12 @@ class Case:
         return {
             "prepare": 1.0, "search": search, "polish": derivatives, "check": derivatives, "compile": shape
         }  # fmt: skip
+
+    def effort(self, request: FitSpec) -> Effort:
+        """What a fit of this case does that has no budget."""
+        subset = searched(self.places, request, self.samples, self.channels // self.groups)
+        starts = request.starts if request.starts is not None else self.usual_starts
+        return Effort(min(subset, self.samples), starts, request.polish)
 
     def efforts(self, starts: int | None = None) -> list[Effort]:
         """What there is to choose from; ``starts`` where the caller names them."""

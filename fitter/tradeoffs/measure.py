@@ -15,7 +15,7 @@ from fitter import progress
 from fitter.compression import CompressedTable, compress
 from fitter.errors import FitError, SpecError
 from fitter.fitting import budget, cost_model
-from fitter.fitting.effort import Case, Effort, searched
+from fitter.fitting.effort import Case
 from fitter.fitting.engine import fit
 from fitter.fitting.result import FitResult
 from fitter.spec import ModelSpec, TradeoffSpec, tradeoff_spec
@@ -305,9 +305,7 @@ def _remember(bench: Bench) -> list[str]:
     for one in [*bench.measured, *bench.references.values()]:
         configuration = one.configuration
         case = Case.of(bench.table_of(configuration), configuration.fit)
-        spec = configuration.fit
-        subset = searched(case.places, spec, case.samples, case.channels // case.groups)
-        effort = Effort(min(subset, case.samples), spec.starts or case.usual_starts, spec.polish)
+        effort = case.effort(configuration.fit)
         for result in one.fits[-2:]:
             book = budget.learned(book, case, effort, result)
     return cost_model.save(book, cost_model.path())
