@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import orjson
 
@@ -11,6 +11,9 @@ from api.access import Mine
 from api.problems import Problem
 from api.rows import ModelRow, PosteriorRow, TableRow
 from fitter.documents import dumps
+
+if TYPE_CHECKING:
+    from fitter.report import Report
 
 Kind = Literal["json", "html", "pdf"]
 
@@ -24,30 +27,25 @@ def report(here: Mine, row: ModelRow, kind: Kind) -> bytes:
     with here.service.report_lock:
         kept = here.service.results.report(name, kind)
         if kept is None:
-            record = here.service.results.report(name, "json")
-            if kind == "pdf" and record is not None and _is_current(record):
-                # Drawn when somebody wants it: most are looked at in a browser.
-                _draw(here, name, record)
-            else:
-                _make(here, row, posterior_id, name)
-                if kind == "pdf":
-                    _draw(here, name, here.service.results.report(name, "json") or b"")
+            # A PDF is drawn when somebody wants it: most are looked at in a browser.
+            made = _kept(here, name) if kind == "pdf" else None
+            made = made or _make(here, row, posterior_id, name)
+            if kind == "pdf":
+                here.service.results.write_report(name, "pdf", made.pdf())
             kept = here.service.results.report(name, kind)
     assert kept is not None
     return kept
 
 
-def _is_current(record: bytes) -> bool:
-    """Whether a kept record is one that this version draws; those of earlier ones are made anew."""
-    return bool(orjson.loads(record)["version"] == importlib.import_module("fitter.report.report").VERSION)
+def _kept(here: Mine, name: str) -> Report | None:
+    """The report that was made before; None where there is none, or one that an earlier version made."""
+    content = here.service.results.report(name, "json")
+    record = None if content is None else orjson.loads(content)
+    there = importlib.import_module("fitter.report.report")
+    return there.Report(record) if record and record["version"] == there.VERSION else None
 
 
-def _draw(here: Mine, name: str, record: bytes) -> None:
-    made: Any = importlib.import_module("fitter.report").Report.from_dict(orjson.loads(record))
-    here.service.results.write_report(name, "pdf", made.pdf())
-
-
-def _make(here: Mine, row: ModelRow, posterior_id: str | None, name: str) -> None:
+def _make(here: Mine, row: ModelRow, posterior_id: str | None, name: str) -> Report:
     table_row = here.find(TableRow, row.table_id or "")
     if table_row is None:
         raise Problem(
@@ -60,6 +58,7 @@ def _make(here: Mine, row: ModelRow, posterior_id: str | None, name: str) -> Non
     fit = FitResult.from_dict(here.service.results.read(row.id))
     posterior = None if posterior_id is None else Posterior.from_dict(here.service.results.read(posterior_id))
     table = here.service.tables.open(table_row).table
-    made: Any = importlib.import_module("fitter.report").complete(table, fit, posterior)
+    made: Report = importlib.import_module("fitter.report").complete(table, fit, posterior)
     here.service.results.write_report(name, "json", dumps(made.to_dict()))
     here.service.results.write_report(name, "html", made.html().encode())
+    return made
