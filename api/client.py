@@ -46,6 +46,11 @@ SILENCE = 45.0
 
 #: What another attempt does not mend: a URL that is none, and a server too slow for the caller.
 _FINAL = (httpx.UnsupportedProtocol, httpx.TimeoutException)
+_NO_RANGES = {
+    "code": "range-not-answered", "detail": "the rest of a download that was cut off can't be had",
+    "cause": "something between here and the server does not pass ranges on",
+    "remedy": "try again, or ask the server itself",
+}  # fmt: skip
 
 
 class Refused(FitterError):
@@ -146,7 +151,7 @@ class Client:
                             answer.read()
                             raise _error(answer)
                         if at and not answer.headers.get("content-range", "").startswith(f"bytes {at}-"):
-                            raise _unreachable(httpx.TransportError("ranges are not answered on the way"))
+                            raise ServiceFailed(answer.status_code, _NO_RANGES)
                         for piece in answer.iter_raw():
                             at += len(piece)
                             yield piece

@@ -128,8 +128,8 @@ def install(app: FastAPI) -> None:
             found = document(error.status_code, code, str(error.detail))
         headers = dict(error.headers or {})
         if error.status_code == 405:
-            # Below a mount, whose own routes the application doesn't list, what those say stays.
-            headers["Allow"] = ", ".join(_methods(request.scope)) or headers.get("allow", "GET, HEAD")
+            # The application does not list what is below a mount: files.
+            headers["Allow"] = ", ".join(_methods(request.scope)) or "GET, HEAD"
         return respond(found, request.scope, headers)
 
     async def on_validation(request: Request, error: Exception) -> Response:
