@@ -94,16 +94,17 @@ def half_difference_components(
     theta_h, theta_d, phi_d, phi_h = (np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
     sin_h, cos_h = np.sin(theta_h), np.cos(theta_h)
     sin_d, cos_d = np.sin(theta_d), np.cos(theta_d)
-    x, y = sin_d * np.cos(phi_d), sin_d * np.sin(phi_d)
-    turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
-    found: list[Parts] = []
-    for side in (1.0, -1.0):
-        along, across = side * cos_h * x + sin_h * cos_d, side * y
-        found += [
-            np.asarray(turn_x * along - turn_y * across), np.asarray(turn_y * along + turn_x * across),
-            np.asarray(cos_h * cos_d - side * sin_h * x),
-        ]  # fmt: skip
-    return tuple(found)
+    # Products of the first two angles come first: on a grid they are few.
+    cos_p = np.cos(phi_d)
+    along, down, across = (cos_h * sin_d) * cos_p, (sin_h * sin_d) * cos_p, sin_d * np.sin(phi_d)
+    flat, up = sin_h * cos_d, cos_h * cos_d
+    found = [flat + along, across, up - down, flat - along, -across, up + down]
+    if np.any(phi_h):
+        turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
+        for k in (0, 3):
+            x, y = found[k], found[k + 1]
+            found[k], found[k + 1] = turn_x * x - turn_y * y, turn_y * x + turn_x * y
+    return tuple(np.asarray(part) for part in found)
 
 
 def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, Angles, Angles, Angles]:

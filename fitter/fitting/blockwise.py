@@ -124,8 +124,6 @@ def _best(
 def _block(pair: FloatArray, y: FloatArray, weight: FloatArray) -> Block:
     """The samples as a block of whole chunks."""
     missing = -len(y) % CHUNK
-    y, weight = (np.pad(np.asarray(a), ((0, missing), (0, 0))) for a in (y, weight))
-    return Block(
-        pair=np.pad(np.asarray(pair), ((0, 0), (0, missing)), mode="edge"), y=y, goal=y,
-        weight=weight, count=len(y),
-    )  # fmt: skip
+    values, weights = (np.pad(np.asarray(a).T, ((0, 0), (0, missing))) for a in (y, weight))
+    padded = np.pad(np.asarray(pair), ((0, 0), (0, missing)), mode="edge")
+    return Block(pair=padded, y=values, weight=weights, count=len(y) + missing)

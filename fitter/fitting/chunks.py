@@ -18,69 +18,71 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from fitter.fitting import metrics, separable
+from fitter.fitting import metrics, rows
 from fitter.fitting.layout import Layout
 from fitter.fitting.samples import Block, Blocks
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
-#: pair, y, goal, weight of a block.
+#: pair, y, weight of a block.
 Column = Array | FloatArray
-Arrays = tuple[Column, Column, Column, Column]
+Arrays = tuple[Column, Column, Column]
 CHUNK = 2_048
 
 
-def chunk(block: Arrays, index: Array) -> tuple[Array, Array, Array, Array]:
-    """The samples of one chunk: pair (6, n), y, goal (n, C), weight (n, C) or (n, 1)."""
-    def part(column: Column, axis: int = 0) -> Array:
-        return jax.lax.dynamic_slice_in_dim(jnp.asarray(column), index * CHUNK, CHUNK, axis)
+def chunk(block: Arrays, index: Array) -> tuple[Array, Array, Array]:
+    """The samples of one chunk: pair (6, n), y (C, n), weight (C, n) or (1, n)."""
+    pair, y, w = (
+        jax.lax.dynamic_slice_in_dim(jnp.asarray(part), index * CHUNK, CHUNK, axis=1) for part in block
+    )  # fmt: skip
+    return pair, y, w
 
-    return part(block[0], 1), part(block[1]), part(block[2]), part(block[3])
 
-
-def residual(metric: Metric, f: Array, goal: Array, w: Array, floor: Array) -> tuple[Array, Array]:
-    """The metric's residuals and slopes (C, n) of values f (C, n), 0 where the weight is.
-
-    Channels first: three to a row are no length for the processor's vectors.
-    """
-    r = metrics.residual(metric, f, goal, w, floor[:, None])
+def residual(metric: Metric, f: Array, y: Array, w: Array, floor: Array) -> tuple[Array, Array]:
+    """The metric's residuals and slopes (C, n) of values f (C, n) from y, 0 where the weight is."""
+    r = metrics.residual(metric, f, y, w, floor[:, None])
     used = w != 0
-    return jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0)
+    value, slope = rows.settled(jnp.where(used, r.value, 0.0), jnp.where(used, r.slope, 0.0))
+    return value, slope
 
 
 def with_slopes(layout: Layout, u: Array, pair: Array) -> tuple[Array, Array]:
     """Terms (K, n) at pairs (6, n) and their derivatives (T, K, n) by u (T,), by linearising once: pushing
     every direction through the whole program takes twice as long."""
     terms, along = jax.linearize(lambda u_: layout.terms(u_, pair), u)
-    return terms, jax.vmap(along)(jnp.eye(len(u))) if len(u) else jnp.zeros((0, *terms.shape))
+    slopes = jax.vmap(along)(jnp.eye(len(u))) if len(u) else jnp.zeros((0, *terms.shape))
+    terms, slopes = rows.settled(terms, slopes)
+    return terms, slopes
 
 
 def values_and_columns(
     layout: Layout, u: Array, inner: Array, pair: Array
-) -> tuple[Array, Callable[[Array], Array]]:
-    """The values (n, C) at pairs (6, n), and what makes of slopes (C, n) the derivatives (C, F + M, n) of
-    each channel by its own F nonlinear parameters and by its M inner entries."""
+) -> tuple[Array, Callable[..., Array]]:
+    """The values (C, n) at pairs (6, n), and what makes of slopes (C, n) the derivatives (C, F + M, n) of
+    each channel by its own F nonlinear parameters and by its M inner entries, with further rows (C, n)."""
     t, alone = len(layout.free), layout.alone
-    b = layout.coefficients(u, inner)
+    b = layout.coefficients(u, inner)  # (K, C)
     local = u[layout.where] if layout.mixed else u  # (C, F), or (F,) the same for all
-    each = 0 if layout.mixed else None
     look = functools.partial(with_slopes, alone, pair=pair)
-    terms, slopes = jax.vmap(look)(local) if layout.mixed else look(local)
-    f = separable.model(layout, terms, b)
+    # (C, K, n) and (C, F, K, n), with one instead of C where the channels share them.
+    terms, slopes = jax.vmap(look)(local if layout.mixed else local[None])
+    f = rows.combined(terms, b.T)
 
-    def free(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array) -> Array:
-        return jnp.concatenate([jnp.einsum("tkn,k->tn", slopes_c, b_c), terms_c]) * slope_c
-
-    def bound(terms_c: Array, slopes_c: Array, b_c: Array, slope_c: Array, v: Array, l_c: Array) -> Array:
+    def of_channel(v: Array, l_c: Array) -> Array:
+        """(K, F + M) the derivatives of a channel's coefficients."""
         by_v, by_l = jax.jacfwd(lambda v_, l_: alone.coefficients(v_, l_[:, None])[:, 0], (0, 1))(v, l_c)
-        through = jnp.einsum("kn,kt->tn", terms_c, jnp.concatenate([by_v[:, :t], by_l], axis=1))
-        return through.at[:t].add(jnp.einsum("tkn,k->tn", slopes_c, b_c)) * slope_c
+        return jnp.concatenate([by_v[:, :t], by_l], axis=1)
 
-    def columns(slope: Array) -> Array:
+    def columns(slope: Array, *further: Array) -> Array:
+        found = [rows.combined(slopes[:, k], b.T) for k in range(t)]
         if layout.coefficients_are_free:
-            return jax.vmap(free, in_axes=(each, each, 1, 0))(terms, slopes, b, slope)
-        return jax.vmap(bound, in_axes=(each, each, 1, 0, each, 1))(terms, slopes, b, slope, local, inner)
+            found += [terms[:, m] for m in range(len(inner))]
+        else:
+            by = jax.vmap(of_channel, (0 if layout.mixed else None, 1))(local, inner)
+            through = [rows.combined(terms, by[:, :, k]) for k in range(t + len(inner))]
+            found = [a + b for a, b in zip(found, through, strict=False)] + through[t:]
+        return rows.stacked([row * slope for row in found] + list(further))
 
     return f, columns
 
@@ -98,7 +100,7 @@ def of_entries(layout: Layout, scores: Array) -> Array:
 
 def arrays(block: Block) -> Arrays:
     """What compiled programs take of a block."""
-    return block.pair, block.y, block.goal, block.weight
+    return block.pair, block.y, block.weight
 
 
 def over_blocks(work: Callable[[Block], T], blocks: Blocks) -> list[T]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fitter import models
 from fitter.errors import SpecError
+from fitter.fitting import rows
 from fitter.models.base import SeparableModel
 from fitter.models.pair import Pair
 from fitter.models.parameters import Parameter
@@ -73,10 +74,10 @@ class Layout:
     def where(self) -> IntArray:
         """(C, F) positions in u of each channel's parameters."""
         index = {entry: position for position, entry in enumerate(self.entries)}
-        rows = [
+        entries = [
             [index[k, c if own else None] for k, own in enumerate(self.own)] for c in range(self.channels)
         ]
-        return np.array(rows, np.intp).reshape(self.channels, len(self.free))
+        return np.array(entries, np.intp).reshape(self.channels, len(self.free))
 
     def positions(self, size: int, channels: int) -> IntArray:
         """(C, F + M) positions of each channel's own entries in the vector p = [u, inner (M, C) flattened] of
@@ -126,14 +127,14 @@ class Layout:
         """
         nonlinear = self.nonlinear(u)
         if not self.mixed:
-            terms = jnp.stack(self.family.terms(self.spec, nonlinear, Pair(*pair[:6])))
+            terms = rows.stacked(self.family.terms(self.spec, nonlinear, Pair(*pair[:6])))
             if len(pair) == 6:
                 return terms
             width = 6 + len(terms)
             total = terms * pair[6:width]
             for start in range(width, len(pair), width):
                 reference = Pair(*pair[start : start + 6])
-                terms = jnp.stack(self.family.terms(self.spec, nonlinear, reference))
+                terms = rows.stacked(self.family.terms(self.spec, nonlinear, reference))
                 total = total + terms * pair[start + 6 : start + width]
             return total
         wide = Pair(*(component[:, None] for component in pair))

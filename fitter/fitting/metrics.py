@@ -34,7 +34,7 @@ leaves the diffuse albedo to chance (0.6 % on a MERL table with 1 % noise, where
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,10 +43,10 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.errors import SpecError
+from fitter.fitting import cube_root
 from fitter.spec import Metric, Weighting
 
 FloatArray = NDArray[np.float64]
-_T = TypeVar("_T", Array, NDArray[np.float64])
 #: Share of the median value that is added under the logarithm, and below which the cube root is a polynomial.
 LOG_FLOOR = 1e-3
 QUADRATIC: frozenset[str] = frozenset({"measurement", "absolute", "cosine"})
@@ -76,15 +76,14 @@ def weighting(metric: Metric, given: Weighting | None, grid: bool) -> Weighting:
 
 
 def base_weights(
-    metric: Metric, value: FloatArray, sigma: FloatArray | None, cos_i: FloatArray,
-    measure: FloatArray | None = None,
-) -> FloatArray:  # fmt: skip
-    """(n, C) w T(s)/T(1) of each value, or (n, 1) where the channels have the same: all that does not depend
+    metric: Metric, sigma: FloatArray | None, cos_i: FloatArray, measure: FloatArray | None = None
+) -> FloatArray:
+    """(C, n) w T(s)/T(1) of each value, or (1, n) where the channels have the same: all that does not depend
     on the model.
 
-    measure : (n,) what multiplies the squared residuals, None for 1.
+    sigma : (C, n) standard uncertainties. measure : (n,) what multiplies the squared residuals, None for 1.
     """
-    factor = np.ones(len(value)) if measure is None else np.sqrt(measure)
+    factor = np.ones(len(cos_i)) if measure is None else np.sqrt(measure)
     if metric == "measurement":
         if sigma is None:
             raise SpecError(
@@ -92,33 +91,33 @@ def base_weights(
                 code="metric-needs-sigma", parameter="metric",
                 remedy="give sigma with the table, or use cosine, absolute, relative, log or cbrt",
             )  # fmt: skip
-        return factor[:, None] / sigma
+        return factor / sigma
     if metric == "cosine":
-        factor = factor * cos_i
+        factor *= cos_i
     if metric == "cbrt":
-        factor = factor * np.cbrt(cos_i)
-    return factor[:, None].copy()
+        factor *= cube_root.of_positive(cos_i)
+    return factor[None]
 
 
-def target(metric: Metric, y: FloatArray, weight: FloatArray, floor: FloatArray) -> FloatArray:
-    """What the residual subtracts, (n, C): y itself where T is the identity, y + e for the deviance, else
-    w T(s y)."""
+def target(metric: Metric, y: Array, weight: Array, floor: Array) -> Array:
+    """w T(s y), what the residual is the distance from; y + e for the deviance.
+
+    Below -e a value has no logarithm; the engine leaves such samples out and says so.
+    """
     if metric in QUADRATIC:
-        return y
-    if metric == "log":
-        # Below -floor a value has no logarithm; the engine leaves such samples out and says so.
-        return weight * np.log(np.maximum(y + floor, 1e-300))
-    if metric == "relative":
-        return np.maximum(y + floor, 1e-300)
-    t = y / floor
-    return weight * np.cbrt(floor) * np.where(np.abs(t) < 1.0, _cubic(t), np.cbrt(t))
+        return weight * y
+    if metric in POSITIVE:
+        shifted = jnp.maximum(y + floor, 1e-300)
+        return shifted if metric == "relative" else weight * jnp.log(shifted)
+    return weight * jnp.cbrt(floor) * _root(y / floor)[0]
 
 
-def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array) -> Residual:
-    """The residual of a metric. ``goal`` is :func:`target` of the measurements, ``floor`` the value scale
-    per channel, LOG_FLOOR x median."""
+def residual(metric: Metric, f: Array, y: Array, weight: Array, floor: Array) -> Residual:
+    """The residual of values f from measurements y of their shape. ``floor`` is the value scale per channel,
+    LOG_FLOOR x median."""
     if metric in QUADRATIC:
-        return Residual(weight * (f - goal), jnp.broadcast_to(weight, jnp.shape(f)))
+        return Residual(weight * (f - y), jnp.broadcast_to(weight, jnp.shape(f)))
+    goal = target(metric, y, weight, floor)
     if metric == "log":
         shifted = jnp.maximum(f, 0.0) + floor
         return Residual(weight * jnp.log(shifted) - goal, weight / shifted)
@@ -129,20 +128,16 @@ def residual(metric: Metric, f: Array, goal: Array, weight: Array, floor: Array)
     return Residual(scale * root - goal, scale / floor * slope)
 
 
-def _cubic(t: _T) -> _T:
-    """What stands for the cube root of |t| < 1, of measurements as of models."""
-    return t * (4.0 - t * t) / 3.0
-
-
 def _root(t: Array) -> tuple[Array, Array]:
     """The cube root of t and its slope, and for |t| < 1 those of the odd cubic that joins it there: the slope
     of the root is infinite at 0, and with another one than the objective's passes end beside the optimum."""
-    inside = jnp.abs(t) < 1.0
-    # Six times as fast as jnp.cbrt on a processor, and as exact.
-    root = jnp.exp(jnp.log(jnp.where(inside, 1.0, jnp.abs(t))) / 3.0)
+    size = jnp.abs(t)
+    inside = size < 1.0
+    inverse = cube_root.inverse(jnp.where(inside, 1.0, size))
+    square = jnp.square(inverse)
     return (
-        jnp.where(inside, _cubic(t), jnp.sign(t) * root),
-        jnp.where(inside, 4.0 - 3.0 * t * t, 1.0 / jnp.square(root)) / 3.0,
+        t * jnp.where(inside, (4.0 - t * t) / 3.0, square),
+        jnp.where(inside, 4.0 - 3.0 * t * t, square) / 3.0,
     )
 
 

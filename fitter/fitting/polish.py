@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from fitter.fitting import metrics, separable
+from fitter.fitting import metrics, rows, separable
 from fitter.fitting.chunks import (
     CHUNK,
     Arrays,
@@ -55,10 +55,10 @@ def _accumulate(
     (m, c), own = inner.shape, len(layout.free)
 
     def step(index: Array, total: Array) -> Array:
-        pair, _, goal, w = chunk(block, index)
+        pair, y, w = chunk(block, index)
         f, columns = values_and_columns(layout, u, inner, pair)
-        value, slope = residual(metric, f.T, goal.T, w.T, floor)
-        x = jnp.concatenate([columns(slope), value[:, None, :]], axis=1)
+        value, slope = residual(metric, f, y, w, floor)
+        x = columns(slope, value)
         return total + jnp.einsum("cin,cjn->cij", x, x)
 
     return jax.lax.fori_loop(0, chunks, step, jnp.zeros((c, own + m + 1, own + m + 1)))
@@ -75,12 +75,12 @@ def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chu
         mix = mix.at[:, t, k + t :: own].set(inner.T)
 
     def step(index: Array, total: Array) -> Array:
-        pair, y, _, w = chunk(block, index)
+        pair, y, w = chunk(block, index)
         terms, slopes = with_slopes(layout, u, pair)
         r = separable.model(layout, terms, inner) - y
-        rows = jnp.concatenate([terms, slopes.swapaxes(0, 1).reshape(k * own, terms.shape[1]), r.T])
-        rows = rows * w.T
-        return total + rows @ rows.T
+        of_k = slopes.swapaxes(0, 1).reshape(k * own, terms.shape[1])
+        x = rows.stacked([row * w[0] for row in (*terms, *of_k, *r)])
+        return total + x @ x.T
 
     size = k + k * own
     total = jax.lax.fori_loop(0, chunks, step, jnp.zeros((size + c, size + c)))
@@ -100,7 +100,7 @@ def normal_equations(
 
     def one(block: Block) -> FloatArray:
         chunks = -(-block.count // CHUNK)
-        if plain and c > 1 and block.weight.shape[1] == 1:
+        if plain and c > 1 and len(block.weight) == 1:
             return np.asarray(_accumulate_alike(layout, u, inner, arrays(block), chunks))
         return np.asarray(_accumulate(layout, metric, u, inner, floor, arrays(block), chunks))
 

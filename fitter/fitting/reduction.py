@@ -21,6 +21,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter import directions
+from fitter.fitting import rows
 from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
@@ -120,17 +121,14 @@ def _grams(
 @kept("layout", "span", "slabs", "length")
 def _sums(layout: Layout, span: Span, slabs: int, length: int, block: Arrays) -> Array:
     cells = slabs * length
-    pair, y, w = (jnp.asarray(column) for column in (block[0], block[1], block[3]))
-    pair, y, w = pair[:, :cells], y[:cells].T, w[:cells].T
+    pair, y, w = (jnp.asarray(part)[:, :cells] for part in block)
     terms = [layout.family.terms(layout.spec, q, Pair(*pair)) for q in _nonlinear(span)]
-    columns = jnp.stack([term for found in terms for term in found])
-    if len(w) == 1:
-        rows = (jnp.concatenate([columns, y]) * w)[None]
-    else:
-        each = jnp.broadcast_to(columns, (len(y), *columns.shape))
-        rows = jnp.concatenate([each, y[:, None]], axis=1) * w[:, None]
-    rows = rows.reshape(*rows.shape[:2], slabs, length)
-    return jnp.einsum("gisn,gjsn->sgij", rows, rows)
+    columns = rows.settled(*(term for found in terms for term in found))
+    # Channels of one weight share their columns, (1, n) each; others have their own.
+    values = y[:, None] if len(w) == 1 else [y]
+    x = rows.stacked([column * w for column in (*columns, *values)])
+    x = x.reshape(*x.shape[:2], slabs, length)
+    return jnp.einsum("gisn,gjsn->sgij", x, x)
 
 
 def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, channels: int) -> Block:
@@ -162,14 +160,14 @@ def _pseudo(references: FloatArray, inverses: FloatArray, grams: FloatArray, cha
     # Rows of the factor are (reference, term) of one pseudo-sample.
     weights = rows.reshape(s * g * size, k, j)
     pair[:, 6:, : count - 1] = weights.transpose(2, 1, 0)
-    y, weight = np.zeros((size_of_all, channels)), np.zeros((size_of_all, 1 if g == 1 else channels))
+    y, weight = np.zeros((channels, size_of_all)), np.zeros((1 if g == 1 else channels, size_of_all))
     if g == 1:
-        y[: count - 1], y[count - 1] = z.reshape(-1, channels), rest[0]
-        weight[:count] = 1.0
+        y[:, : count - 1], y[:, count - 1] = z.reshape(-1, channels).T, rest[0]
+        weight[:, :count] = 1.0
     else:
         own = np.tile(np.repeat(np.arange(g), size), s)
-        y[np.arange(count - 1), own] = z.reshape(-1)
-        weight[np.arange(count - 1), own] = 1.0
-        y[count - 1], weight[count - 1] = rest[:, 0], 1.0
-    return Block(pair.reshape(j * (6 + k), size_of_all), y, y, weight, count)
+        y[own, np.arange(count - 1)] = z.reshape(-1)
+        weight[own, np.arange(count - 1)] = 1.0
+        y[:, count - 1], weight[:, count - 1] = rest[:, 0], 1.0
+    return Block(pair.reshape(j * (6 + k), size_of_all), y, weight, count)
 

@@ -40,14 +40,15 @@ def padded(samples: int) -> int:
 class Block:
     """Samples padded to one length; padding, and what of a grid is not usable, has weight 0.
 
-    pair : (6, B) components of wi and wo. y, goal : (B, C), goal the metric's target of y.
-    weight : (B, C), or (B, 1) where the channels have the same.
+    Channels come first: three to a row are no length for the processor's vectors.
+
+    pair : (6, B) components of wi and wo. y : (C, B) values.
+    weight : (C, B), or (1, B) where the channels have the same.
     count : samples that are not padding.
     """
 
     pair: FloatArray
     y: FloatArray
-    goal: FloatArray
     weight: FloatArray
     count: int
 
@@ -116,7 +117,7 @@ class Usable:
     def weight(self) -> FloatArray:
         """(n, C) weights."""
         block = self.part(range(len(self.channels)), slice(None), len(self.index))
-        return np.broadcast_to(block.weight, block.y.shape)
+        return np.broadcast_to(block.weight, block.y.shape).T
 
     def _pair(self, index: IntArray) -> FloatArray:
         return self._turned(np.concatenate([w.T for w in self.table.directions(index)]), index)
@@ -162,21 +163,20 @@ class Usable:
         used: NDArray[np.bool_] | None = None, scale: FloatArray | None = None,
     ) -> Block:  # fmt: skip
         columns, size = self._columns(channels), pair.shape[1]
-        y = _filled(self.table.value[rows][:, columns], used, size, 0.0)
+        y = _filled(self.table.value[rows][:, columns].T, used, size, 0.0)
         stated = self.table.sigma if self.metric == "measurement" else None
-        sigma = None if stated is None else _filled(stated[rows][:, columns], used, size, 1.0)
+        sigma = None if stated is None else _filled(stated[rows][:, columns].T, used, size, 1.0)
         measure = None if self.measure is None else np.ones(size)
         count = len(self.table.value[rows])
         if measure is not None and self.measure is not None:
             measure[:count] = self.measure[rows]
-        weight = metrics.base_weights(self.metric, y, sigma, pair[2], measure)
+        weight = metrics.base_weights(self.metric, sigma, pair[2], measure)
         if scale is not None:
-            weight[: len(scale)] *= np.sqrt(scale)[:, None]
-        weight[count:] = 0.0
+            weight[:, : len(scale)] *= np.sqrt(scale)
+        weight[:, count:] = 0.0
         if used is not None:
-            weight[:count] *= used[:, None]
-        goal = metrics.target(self.metric, y, weight, self.floor[list(channels)])
-        return Block(pair, y, goal, weight, count)
+            weight[:, :count] *= used
+        return Block(pair, y, weight, count)
 
     def blocks(self, channels: Sequence[int]) -> Blocks:
         """All samples of the channels."""
@@ -221,7 +221,7 @@ class Usable:
         # By the metric and plainly: with noise in proportion to the value all samples weigh the same, and a
         # lobe that only few of them see would be lost.
         for seen in (block.weight * block.y, block.y):
-            energy = weight * np.square(seen).sum(axis=1)
+            energy = weight * np.square(seen).sum(axis=0)
             # No sample counts for more than 100 times its share: glints must not fill the subset.
             energy = np.minimum(energy, 100 * energy.mean())
             p += 0.25 * energy / max(energy.sum(), 1e-300)
@@ -292,7 +292,7 @@ def count(blocks: Blocks) -> int:
 def _filled(
     values: FloatArray, used: NDArray[np.bool_] | None, size: int, fill: float
 ) -> FloatArray:
-    """(size, C) values (m, C) where they are used, ``fill`` elsewhere and behind them."""
-    found = np.full((size, values.shape[1]), fill)
-    np.copyto(found[: len(values)], values, where=True if used is None else used[:, None])
+    """(C, size) values (C, m) where they are used, ``fill`` elsewhere and behind them."""
+    found = np.full((len(values), size), fill)
+    np.copyto(found[:, : values.shape[1]], values, where=True if used is None else used)
     return found

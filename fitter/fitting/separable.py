@@ -18,6 +18,7 @@ from jax import Array
 from jax.scipy.linalg import cho_factor, cho_solve
 from numpy.typing import ArrayLike
 
+from fitter.fitting import rows
 from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import Layout
 from fitter.programs import kept
@@ -74,21 +75,21 @@ def inner(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Arr
 
 
 def model(layout: Layout, terms: Array, coefficients: Array) -> Array:
-    """(n, C) the values of the model from its terms and coefficients (K, C)."""
-    return jnp.einsum("ckn,kc->nc" if layout.mixed else "kn,kc->nc", terms, coefficients)
+    """(C, n) the values of the model from its terms and coefficients (K, C)."""
+    return rows.combined(terms if layout.mixed else terms[None], coefficients.T)
 
 
 @functools.partial(jax.jit, static_argnames="layout")
 def values(layout: Layout, u: Array, inner: Array, pair: Array) -> Array:
     """(n, C) the values of the model at pairs (6, n) with the inner vector (M, C)."""
-    return model(layout, layout.terms(u, pair), layout.coefficients(u, inner))
+    return model(layout, layout.terms(u, pair), layout.coefficients(u, inner)).T
 
 
 @functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
     b = layout.coefficients(u, inner(layout, u, pair, y, weight))
-    return weight * (model(layout, layout.terms(u, pair), b) - y)
+    return weight * (model(layout, layout.terms(u, pair), b).T - y)
 
 
 @kept("layout")

@@ -24,7 +24,7 @@ from fitter.fitting.search_error import search_error
 from fitter.fitting.selection_error import selection_error
 from fitter.fitting.sums import Errors, errors, scores
 from fitter.fitting.writeup import Group
-from fitter.spec import FitSpec
+from fitter.spec import FitSpec, Metric
 
 FloatArray = NDArray[np.float64]
 #: Basins of the subset that are polished there, and within what share of the best one's objective they
@@ -54,17 +54,17 @@ def solve(
     index, scale = draw(subset) if reduced is None else none
     if part is None:
         part = data.part(group, index, padded(len(index)), scale)
-    weight = np.broadcast_to(metrics.linearised_weight(metric, part.y, part.weight, floor), part.y.shape)
+    y, weight = _tangent(metric, part, floor)
     clock.lap("reduce")
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
     seen = slice(padded(part.count))
     basins, evidence = finder(
-        places, part.pair[:, seen], part.y[seen], weight[seen], request.starts, request.seed
+        places, part.pair[:, seen], y[seen], weight[seen], request.starts, request.seed
     )
     clock.lap("search")
 
     # The subset's own objective ranks the basins: for log and cbrt the search saw only its tangent.
-    whole = part.y.shape[0] % CHUNK == 0
+    whole = part.y.shape[1] % CHUNK == 0
     blocks: Sequence[Block] = [part if whole else data.part(group, index, BLOCK, scale)]
     ends = [
         polish(places, metric, floor, np.concatenate([b.u, b.inner.reshape(-1)]), blocks, 20)
@@ -123,7 +123,7 @@ def solve(
     error = search_error(places, end, told.outer, None if complete else 1.0 - count(full) / len(data))
     chosen = None
     if not complete:
-        root = data.part(group, index, blocks[0].y.shape[0], np.sqrt(scale))
+        root = data.part(group, index, blocks[0].y.shape[1], np.sqrt(scale))
         # What choosing them does knows no leverage: the samples left out have residuals as large as theirs.
         plain = np.zeros_like(curve.inverse)
         weighted, alone = (
@@ -179,10 +179,16 @@ def _exchanged(
     share of itself the objective of the tangent problem fell by them."""
     if part is None:
         part = data.part(group, np.arange(len(data)), len(data))
-    weight = np.asarray(metrics.linearised_weight(data.metric, part.y, part.weight, data.floor[list(group)]))
-    weight = np.broadcast_to(weight, part.y.shape)
+    y, weight = _tangent(data.metric, part, data.floor[list(group)])
     t = len(places.entries)
-    return exchange.improved(places, part.pair, part.y, weight, [end.p[:t] for end in ends])
+    return exchange.improved(places, part.pair, y, weight, [end.p[:t] for end in ends])
+
+
+def _tangent(metric: Metric, part: Block, floor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, C) the values of a block and the weights of the quadratic objective at them."""
+    y = np.ascontiguousarray(part.y.T)
+    weight = np.asarray(metrics.linearised_weight(metric, y, part.weight.T, floor))
+    return y, np.broadcast_to(weight, y.shape)
 
 
 def _stand_in(
@@ -190,9 +196,10 @@ def _stand_in(
 ) -> Errors:
     """The errors of a weighted subset, its plain ones weighted, too: they stand for the table's."""
     t = len(places.entries)
-    inner = end.p[t:].reshape(-1, part.y.shape[1])
+    inner = end.p[t:].reshape(-1, len(part.y))
     f = np.asarray(separable.values(places, jnp.asarray(end.p[:t]), jnp.asarray(inner), part.pair))[:samples]
-    plain = f - part.y[:samples]
-    relative = plain / (np.abs(part.y[:samples]) + 10.0 * floor)
+    y = part.y[:, :samples].T
+    plain = f - y
+    relative = plain / (np.abs(y) + 10.0 * floor)
     squared, relative_squared = (float(scale @ np.square(error).sum(axis=1)) for error in (plain, relative))
     return Errors(end.normal.objective, squared, relative_squared)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from fitter.fitting import separable
+from fitter.fitting import rows, separable
 from fitter.fitting.chunks import (
     CHUNK,
     Arrays,
@@ -65,13 +65,13 @@ def _errors(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
 ) -> Array:
     def step(index: Array, total: Array) -> Array:
-        pair, *columns = chunk(block, index)
-        y, goal, w = (column.T for column in columns)
-        f = separable.model(layout, layout.terms(u, pair), layout.coefficients(u, inner)).T
-        value, _ = residual(metric, f, goal, w, floor)
+        pair, y, w = chunk(block, index)
+        (terms,) = rows.settled(layout.terms(u, pair))
+        f = separable.model(layout, terms, layout.coefficients(u, inner))
+        value, _ = residual(metric, f, y, w, floor)
         plain = jnp.where(w != 0, f - y, 0.0)
         relative = plain / (jnp.abs(y) + 10.0 * floor[:, None])
-        return total + jnp.stack([jnp.sum(a * a) for a in (value, plain, relative)])
+        return total + jnp.stack([jnp.vdot(a, a) for a in (value, *rows.settled(plain, relative))])
 
     return jax.lax.fori_loop(0, chunks, step, jnp.zeros(3))
 
@@ -152,9 +152,9 @@ def _scores(
     (m, c), own, q = inner.shape, len(layout.free), influence.shape[1]
 
     def step(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        pair, _, goal, w = chunk(block, index)
+        pair, y, w = chunk(block, index)
         f, columns = values_and_columns(layout, u, inner, pair)
-        value, slope = residual(metric, f.T, goal.T, w.T, floor)
+        value, slope = residual(metric, f, y, w, floor)
         x = columns(slope)  # (C, F + M, n)
         whole, part = (jnp.einsum("cin,cij,cjn->cn", x, by, x) for by in (bread, alone))
         room = jnp.maximum(1.0 - part - jnp.sum(whole - part, axis=0), LEAST)
@@ -188,10 +188,10 @@ def sample_scores(
 def _sample_scores(
     layout: Layout, metric: Metric, p: Array, floor: Array, block: Arrays
 ) -> tuple[Array, Array]:
-    pair, _, goal, w = (jnp.asarray(column) for column in block)
+    pair, y, w = (jnp.asarray(part) for part in block)
     t, c = len(layout.entries), floor.shape[0]
     f, columns = values_and_columns(layout, p[:t], p[t:].reshape(-1, c), pair)
-    value, slope = residual(metric, f.T, goal.T, w.T, floor)
+    value, slope = residual(metric, f, y, w, floor)
     x = columns(slope)  # (C, F + M, n)
     each = [of_entries(layout, x * (jnp.arange(c) == k)[:, None, None]) for k in range(c)]
     return value, jnp.stack(each, axis=1)
@@ -210,7 +210,7 @@ def scan_sums(
     scans: int,
 ) -> ScanSums:  # fmt: skip
     """The sums at the vector p of the samples of a block, (n,) of which ``label`` gives the scan."""
-    padded = np.full(len(block.y), -1)
+    padded = np.full(block.y.shape[1], -1)
     padded[: len(label)] = label
     # Few counts of scans are compiled for.
     most = -(-scans // 16) * 16
@@ -226,13 +226,13 @@ def _scan_sums(
     t = len(layout.entries)
 
     def step(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        pair, _, goal, w = chunk(block, index)
+        pair, y, w = chunk(block, index)
         here = jax.lax.dynamic_slice_in_dim(label, index * CHUNK, CHUNK)
         member = (here[:, None] == jnp.arange(scans)).astype(pair.dtype)
 
         def scores_of(p_: Array) -> tuple[Array, Array]:
             f, columns = values_and_columns(layout, p_[:t], p_[t:].reshape(-1, floor.shape[0]), pair)
-            value, slope = residual(metric, f.T, goal.T, w.T, floor)
+            value, slope = residual(metric, f, y, w, floor)
             found = (of_entries(layout, columns(slope) * value[:, None, :]) @ member).T
             return found, found
 

@@ -81,9 +81,8 @@ class Data:
 
     def residuals(self, rows: IndexArray, predicted: FloatArray) -> FloatArray:
         """(n, C) residuals, in the metric, of predictions (n, C) of samples ``rows``."""
-        weight, floor = self.used.weight[rows], self.used.floor
-        goal = metrics.target(self.metric, self.used.value[rows], weight, floor)
-        arrays = (jnp.asarray(array) for array in (predicted, goal, weight, floor))
+        value, weight, floor = self.used.value[rows], self.used.weight[rows], self.used.floor
+        arrays = (jnp.asarray(array) for array in (predicted, value, weight, floor))
         return np.asarray(metrics.residual(self.metric, *arrays).value)
 
     def errors(self, rows: IndexArray, residuals: FloatArray) -> FloatArray:
@@ -103,10 +102,9 @@ class Data:
 
     @cached_property
     def exact(self) -> float:
-        weight = self.used.weight[self.rows]
-        goal = metrics.target(self.metric, self.used.value[self.rows], weight, self.used.floor)
-        if self.metric in metrics.QUADRATIC:
-            goal = weight * goal
+        value, weight, floor = self.used.value[self.rows], self.used.weight[self.rows], self.used.floor
+        arrays = (jnp.asarray(array) for array in (value, weight, floor))
+        goal = np.asarray(metrics.target(self.metric, *arrays))
         return max(EXACT * float(np.sqrt(np.mean(np.square(goal)))), 1e-300)
 
     def noise(self, rows: IndexArray, relative: float | None) -> FloatArray | None:

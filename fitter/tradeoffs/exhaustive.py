@@ -49,9 +49,10 @@ def scan(table: Table, reference: FitResult) -> dict[str, Any] | None:
     minima = 0
     for group in channel_groups(spec, channels):
         part = data.part(group, index, padded(len(index)), scale)
-        weight = np.asarray(linearised_weight(metric, part.y, part.weight, data.floor[group]))
+        y = part.y.T
+        weight = np.asarray(linearised_weight(metric, y, part.weight.T, data.floor[group]))
         candidates = jnp.asarray(np.concatenate([grid, _coordinates(places, reference, group[0])[None]]))
-        cost = np.asarray(separable.screen(places, candidates, part.pair, part.y, weight)).sum(axis=1)
+        cost = np.asarray(separable.screen(places, candidates, part.pair, y, weight)).sum(axis=1)
         found = np.where(np.isfinite(cost), cost, np.inf)
         best.append(float(found[:-1].min() / max(found[-1], 1e-300) - 1.0))
         minima += _minima(found[:-1].reshape([NODES[count]] * count))

@@ -135,7 +135,7 @@ def test_normal_equations_hold_the_gradient(name, metric):
     low, high = places.box
     u = low + (high - low) * rng.uniform(0.4, 0.6, len(low))
     inner = np.asarray(separable.inner(places, jnp.asarray(u), *(jnp.asarray(a) for a in (
-        blocks[0].pair, blocks[0].y, blocks[0].weight))))  # fmt: skip
+        blocks[0].pair, blocks[0].y.T, blocks[0].weight.T))))  # fmt: skip
     p = np.concatenate([u, 0.9 * inner.reshape(-1) + 0.01])
     here = normal_equations(places, metric, data.floor, p, blocks)
     for k in range(len(p)):
