@@ -13,7 +13,6 @@ import hashlib
 import inspect
 import warnings
 from collections.abc import Callable, Hashable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -22,6 +21,7 @@ from jax import export
 from jax.core import Tracer
 
 from fitter.documents import write_bytes
+from fitter.versions import installed
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -129,4 +129,4 @@ def _surroundings() -> tuple[str, ...]:
     source = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         source.update(path.read_bytes())
-    return source.hexdigest(), *(version(name) for name in _MAKERS)
+    return source.hexdigest(), *(installed(name) for name in _MAKERS)

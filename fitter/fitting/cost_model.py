@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -32,6 +31,7 @@ from fitter.errors import SpecError
 from fitter.fitting.compiling import compiled_here
 from fitter.fitting.effort import PHASES, Case, Effort, Phase
 from fitter.model_spec import Frozen
+from fitter.versions import installed
 
 KIND = "brdf-fitter/cost-model"
 VERSION = 1
@@ -124,7 +124,7 @@ def path() -> Path:
 @functools.cache
 def machine() -> Mapping[str, str]:
     """What seconds depend on: the machine and the versions."""
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "jax", "jaxlib", "optimistix")}
+    versions = {name: installed(name) for name in ("numpy", "jax", "jaxlib", "optimistix")}
     return {
         "system": f"{platform.system()} {platform.machine()}", "cpu": _cpu(), "cores": str(_cores()),
         "brdf-fitter": __version__, "python": platform.python_version(), **versions,

@@ -210,12 +210,21 @@ class Usable:
         """
         if len(self) <= size:
             return np.arange(len(self)), np.ones(len(self))
-        rows, step = self.evenly(max(ENOUGH, 4 * size))
-        chosen, scale = self.drawn(rows, np.full(len(rows), float(step)), size, seed)
+        rows, step, p = self._pool if 4 * size <= ENOUGH else self._pooled(4 * size)
+        chosen, scale = systematic(p, np.full(len(rows), float(step)), size, seed)
         return rows[chosen], scale
 
-    def drawn(self, rows: IntArray, weight: FloatArray, size: int, seed: int) -> tuple[IntArray, FloatArray]:
-        """Positions among ``rows``, which stand for ``weight`` samples each, and what those drawn do."""
+    @cached_property
+    def _pool(self) -> tuple[IntArray, int, FloatArray]:
+        return self._pooled(ENOUGH)
+
+    def _pooled(self, most: int) -> tuple[IntArray, int, FloatArray]:
+        """About ``most`` positions to draw from, the step between them, and the chances of each."""
+        rows, step = self.evenly(most)
+        return rows, step, self.chances(rows, np.full(len(rows), float(step)))
+
+    def chances(self, rows: IntArray, weight: FloatArray) -> FloatArray:
+        """The chances, 1 in all, of samples ``rows`` that stand for ``weight`` each to be drawn."""
         block = self.part(range(len(self.channels)), rows, len(rows))
         p = 0.5 * weight / weight.sum()
         # By the metric and plainly: with noise in proportion to the value all samples weigh the same, and a
@@ -225,11 +234,18 @@ class Usable:
             # No sample counts for more than 100 times its share: glints must not fill the subset.
             energy = np.minimum(energy, 100 * energy.mean())
             p += 0.25 * energy / max(energy.sum(), 1e-300)
-        p /= p.sum()
-        offset = np.random.default_rng(seed).random()
-        picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, len(rows) - 1)
-        chosen, times = np.unique(picked, return_counts=True)
-        return chosen, weight[chosen] * times / (size * p[chosen])
+        return p / p.sum()
+
+
+def systematic(
+    p: FloatArray, weight: FloatArray, size: int, seed: int
+) -> tuple[IntArray, FloatArray]:
+    """Which of the samples that stand for ``weight`` (n,) are drawn with the chances ``p``, and for how many
+    each of those stands."""
+    offset = np.random.default_rng(seed).random()
+    picked = np.searchsorted(np.cumsum(p), (np.arange(size) + offset) / size).clip(0, len(p) - 1)
+    chosen, times = np.unique(picked, return_counts=True)
+    return chosen, weight[chosen] * times / (size * p[chosen])
 
 
 @dataclass(frozen=True)

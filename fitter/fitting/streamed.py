@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitter.errors import FitError
 from fitter.fitting import metrics
-from fitter.fitting.samples import Block, Blocks, IntArray, Usable
+from fitter.fitting.samples import Block, Blocks, IntArray, Usable, systematic
 from fitter.fitting.usable import usable
 from fitter.large import LargeTable
 from fitter.reservoir import STRATA, strata
@@ -46,7 +46,8 @@ class FromFile(Usable):
         n = len(self.index)
         if n <= size:
             return np.arange(n), self.stands_for
-        return self.drawn(np.arange(n), self.stands_for, size, seed)
+        p = self.chances(np.arange(n), self.stands_for)
+        return systematic(p, self.stands_for, size, seed)
 
     def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, int]:
         return self.blocks(channels), 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from fitter.fitting.sums import Errors
 from fitter.large import LargeTable
 from fitter.spec import FitSpec, Metric
 from fitter.table import Table
+from fitter.versions import installed
 
 FloatArray = NDArray[np.float64]
 
@@ -137,7 +137,7 @@ def write_up(
         },
         warnings=warnings,
         versions={"brdf-fitter": __version__}
-        | {name: importlib.metadata.version(name) for name in ("numpy", "jax", "optimistix", "nlopt")},
+        | {name: installed(name) for name in ("numpy", "jax", "optimistix", "nlopt")},
     )  # fmt: skip
 
 

@@ -13,7 +13,6 @@ import shutil
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from fitter.fitting.result import FitResult
 from fitter.posterior.ensembles import Ensembles, Proposal, Segment
 from fitter.spec import PosteriorSpec, canonical_json
 from fitter.table import Table
+from fitter.versions import installed
 
 KIND = "brdf-fitter/posterior-checkpoint"
 #: What says when a run ends and what is kept of it, and nothing of its chain: a run that ended too early goes
@@ -133,7 +133,7 @@ def digest(table: Table, fit: FitResult, request: PosteriorSpec) -> str:
     """sha256 of everything that the chain of a run depends on."""
     found = hashlib.sha256()
     settings = request.model_copy(update={name: PosteriorSpec.model_fields[name].default for name in ENDS})
-    libraries = [version(name) for name in ("numpy", "scipy", "jax", "emcee")]
+    libraries = [installed(name) for name in ("numpy", "scipy", "jax", "emcee")]
     specs = [canonical_json(one) for one in (settings, fit.spec)]
     for text in (fitter.__version__, *libraries, *specs, table.hash):
         found.update(text.encode() + b"\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import shlex
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitter._version import __version__
 from fitter.report.fitted import Fitted
+from fitter.versions import installed
 
 if TYPE_CHECKING:
     from fitter.fitting.result import FitResult
@@ -24,7 +24,7 @@ def section(fitted: Fitted, posterior: Posterior | None, seed: int) -> dict[str,
     return {
         "versions": dict(fit.versions),
         "report_versions": {
-            "brdf-fitter": __version__, **{name: importlib.metadata.version(name) for name in DRAWN_WITH}
+            "brdf-fitter": __version__, **{name: installed(name) for name in DRAWN_WITH}
         },
         "fit_spec": fit.spec.model_dump(mode="json"),
         "posterior_spec": None if posterior is None else posterior.spec.model_dump(mode="json"),
