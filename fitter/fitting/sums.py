@@ -156,7 +156,8 @@ def _scores(
         f, columns = values_and_columns(layout, u, inner, pair)
         value, slope = residual(metric, f, y, w, floor)
         x = columns(slope)  # (C, F + M, n)
-        whole, part = (jnp.einsum("cin,cij,cjn->cn", x, by, x) for by in (bread, alone))
+        # As one einsum this would be a product of vectors of length F + M for each sample.
+        whole, part = (jnp.sum(x * jnp.einsum("cij,cjn->cin", by, x), axis=1) for by in (bread, alone))
         room = jnp.maximum(1.0 - part - jnp.sum(whole - part, axis=0), LEAST)
         flat = of_entries(layout, x * (value / room)[:, None, :])
         energy = jnp.square(x[:, own:])
