@@ -2,8 +2,8 @@
 
 A page's ```bash and ```console blocks are run one after the other (of a console block the lines after "$ "),
 its ```python blocks are one program that runs after them in the same folder, where the bundled tables lie as
-NAME.csv. Other blocks are not run. ``brdf-fitter serve`` is only parsed, because a server already listens, and
-``make TARGET`` is a dry run.
+NAME.csv. Other blocks are not run. ``brdf-fitter serve`` is only parsed, because a server already listens,
+and ``make TARGET`` is a dry run.
 
 Blocks are bash's, those that follow each other one script of it, and each command in them a process. Where
 there is nothing but commands, whose output goes to a file at most, they run in this process instead, as

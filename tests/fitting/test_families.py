@@ -84,7 +84,9 @@ def test_nlopt_reaches_the_same_optimum(name):
 
 def test_uncertainties_of_mixed_parameters_cover_at_their_rate():
     model = models.create(MIXED, **NEW["mixed"][1])
-    z = np.stack([pull(fitter.fit(scattered(model, seed=200 + k, n=300), MIXED), model) for k in range(40)])
+    # Two starts find this optimum: the search is a third of the time less, and not what is tested.
+    tables = (scattered(model, seed=200 + k, n=300) for k in range(40))
+    z = np.stack([pull(fitter.fit(table, MIXED, starts=2), model) for table in tables])
     for level, limit in ((0.6827, 1.0), (0.9545, 2.0)):
         assert abs((np.abs(z) < limit).mean() - level) < 4 * np.sqrt(level * (1 - level) / 40)
 
