@@ -26,8 +26,8 @@ demo: .venv/.installed ## fit a bundled table with all models and write demo/rep
 	$(BIN)/brdf-fitter demo --out demo
 
 # Each core has a test process already: more threads of the linear algebra only stand in each other's way.
-# Bytecode is kept even where the environment forbids it: each test process, and each of the many that tests
-# start, would compile and rewrite the sources anew.
+# Bytecode is kept even where the environment forbids it: rewriting the assertions of all tests anew is half of
+# what each test process takes to collect them.
 PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 test: .venv/.installed ## run the tests
