@@ -161,14 +161,15 @@ def map_pictures(record: Record) -> list[Picture]:
         figure, axes = panel(
             f"Residual map, {name}", f"{label[area['x']]} (deg)", f"{label[area['y']]} (deg)"
         )
-        figure.set_layout_engine("constrained")
+        figure.subplots_adjust(right=0.79)
         axes.grid(False)
         mesh = axes.pcolormesh(
             _floats(area["x_edges"]), _floats(area["y_edges"]),
             np.ma.masked_invalid(_floats(area["median"][name])),
             cmap="PuOr_r", vmin=-limit, vmax=limit, rasterized=True,
         )  # fmt: skip
-        bar = figure.colorbar(mesh, ax=axes, extend="both")
+        beside = figure.add_axes((0.815, 0.16, 0.022, 0.75))  # as high as the map
+        bar = figure.colorbar(mesh, cax=beside, extend="both", ticks=MaxNLocator(5, steps=[1, 2, 5, 10]))
         bar.set_label("median relative residual", fontsize=9, color=INK)
         bar.ax.tick_params(labelsize=8.5, colors=INK)
         axes.set_facecolor("#c4c9ce")

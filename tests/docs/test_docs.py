@@ -1,13 +1,13 @@
 """The documentation is true: every command and program shown in it runs, and every link leads somewhere.
 
-A page's ```bash and ```console blocks are one script (of a console block the lines after "$ "), its
-```python blocks one program that runs after it in the same folder, where the bundled tables lie as NAME.csv.
-Other blocks are not run. ``brdf-fitter serve`` is only parsed, because a server already listens, and
-``make TARGET`` is a dry run.
+A page's ```bash and ```console blocks are run one after the other (of a console block the lines after "$ "),
+its ```python blocks are one program that runs after them in the same folder, where the bundled tables lie as
+NAME.csv. Other blocks are not run. ``brdf-fitter serve`` is only parsed, because a server already listens,
+and ``make TARGET`` is a dry run.
 
-Scripts are bash's, and each command in them a process. Where there is nothing but commands, whose output goes
-to a file at most, they run in this process instead, as programs do: that spares starting the numerics anew
-some thirty times.
+Blocks are bash's, those that follow each other one script of it, and each command in them a process. Where
+there is nothing but commands, whose output goes to a file at most, they run in this process instead, as
+programs do: that spares starting the numerics anew some forty times.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -57,9 +58,9 @@ exec "{python}" -m fitter "$@"
 
 @dataclass(frozen=True)
 class Page:
-    """What of a page can be run."""
+    """What of a page can be run: scripts, and a program."""
 
-    shell: str
+    shell: list[str]
     python: str
 
     @staticmethod
@@ -73,7 +74,8 @@ class Page:
                 shell.append(block)
             elif language == "console":
                 shell.append(_typed(block))
-        return Page("\n".join(shell), "\n".join(python))
+        scripts = groupby(shell, key=lambda block: Command.read(block) is None)
+        return Page(["\n".join(blocks) for _, blocks in scripts], "\n".join(python))
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,10 @@ class Command:
         """The commands of a script that holds nothing else, or None."""
         found: list[Command] = []
         for line in script.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
+            try:
+                words = shlex.split(line, comments=True)
+            except ValueError:  # a quotation goes over lines
+                return None
             output = words[-1] if words[-2:-1] == [">"] else None
             words = words[:-2] if output else words
             if words and (words[0] != "brdf-fitter" or set("".join(words)) & set("|&;<>()$`")):
@@ -166,28 +171,32 @@ def test_everything_shown_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     page = Page.read(path)
-    text = page.shell + page.python
+    text = "\n".join([*page.shell, page.python])
     if not text.strip():
         return
     if SHOWN_ADDRESS in text:
         if shutil.which("curl") is None:
             pytest.skip(f"NO CURL: {path.name} is not checked")
         found = request.getfixturevalue("address")
-        page = Page(page.shell.replace(SHOWN_ADDRESS, found), page.python.replace(SHOWN_ADDRESS, found))
+        page = Page(
+            [script.replace(SHOWN_ADDRESS, found) for script in page.shell],
+            page.python.replace(SHOWN_ADDRESS, found),
+        )
     for name in datasets.samples():
         shutil.copy(datasets.sample(name), tmp_path / f"{name}.csv")
     monkeypatch.chdir(tmp_path)
-    commands = Command.read(page.shell)
-    for command in commands or []:
-        command.run(capsys)
-    if commands is None:
-        script = tmp_path / "shown.bash"
-        script.write_text(page.shell)
-        done = subprocess.run(
-            ["bash", "-euo", "pipefail", str(script)], env=environment, capture_output=True, text=True,
-            timeout=600,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{path.name}:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
+    for shown in page.shell:
+        commands = Command.read(shown)
+        for command in commands or []:
+            command.run(capsys)
+        if commands is None:
+            script = tmp_path / "shown.bash"
+            script.write_text(shown)
+            done = subprocess.run(
+                ["bash", "-euo", "pipefail", str(script)], env=environment, capture_output=True, text=True,
+                timeout=600,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{path.name}:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
     if page.python.strip():
         program = tmp_path / "shown.py"
         program.write_text(page.python)
