@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.kernels import compiled, part
-from fitter.kernels.angles import cosine_and_sine, short_cosine, short_sine
-from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, REJECTED, U, V, collected, proposed
-from fitter.kernels.uniform import left, resumed
+from fitter.kernels.angles import short_cosine, short_sine
+from fitter.kernels.candidates import ABOVE, CHANCE, CHUNK, OWN, REJECTED, U, V, collected, proposed
 
 FloatArray = NDArray[np.float64]
 
 # Halvings where the inversion does not settle, and steps that are short against what they lead to.
 _HALVINGS, _SHORT = 60, 1e-5
-# Rows of a chunk.
-_THETA, _HEIGHT, _PHI, _WIDTH, _STEEPEST, _F = 3, 4, 5, 6, 7, 8
-_SINE2, _COSINE2, _WHOLE = 12, 13, 14
-_ENVELOPE, _DENSITY, _OUT = 15, 16, 17
-_ROWS = 21
-_COLUMNS = 12
+# Rows of a chunk: the corners' values, what is known of the row and of the column, the interpolant, the
+# direction and pdf.
+_F, _ROW, _COLUMN, _ENVELOPE, _DENSITY, _OUT = OWN, OWN + 4, OWN + 12, OWN + 15, OWN + 16, OWN + 17
+_ROWS = _OUT + 4
+# Of a row: cosine and sine of its middle, half its height, the largest sin(2 theta), sine and cosine of twice
+# the lower end, and the integrals of (1 - s) sin cos and s sin cos over s.
+_COSINE, _SINE, _HALF, _STEEPEST, _SINE2, _COSINE2, _LOW, _HIGH = range(_ROW, _ROW + 8)
 
 
 @part
@@ -79,13 +79,13 @@ def halved(wanted: float, a: float, b: float, sine: float, cosine: float, height
 
 
 @part
-def invert(b: FloatArray, m: int) -> None:
+def invert(b: FloatArray) -> None:
     """The first uniform number of each candidate replaced by the s in [0, 1] with that share of the integral
     of (f + (g - f) s) sin cos below it, f and g the sums of the corners at the ends of theta."""
-    for i in range(m):
+    for i in range(CHUNK):
         f, g = b[_F * CHUNK + i] + b[(_F + 1) * CHUNK + i], b[(_F + 2) * CHUNK + i] + b[(_F + 3) * CHUNK + i]
-        height, sine, cosine = b[_HEIGHT * CHUNK + i], b[_SINE2 * CHUNK + i], b[_COSINE2 * CHUNK + i]
-        wanted = b[U * CHUNK + i] * b[_WHOLE * CHUNK + i]
+        height, sine, cosine = 2 * b[_HALF * CHUNK + i], b[_SINE2 * CHUNK + i], b[_COSINE2 * CHUNK + i]
+        wanted = b[U * CHUNK + i] * (b[_LOW * CHUNK + i] * f + b[_HIGH * CHUNK + i] * g)
         # From the answer that a linear product would have.
         x = 2 * height
         end = sine * short_cosine(x) + cosine * short_sine(x)
@@ -94,17 +94,15 @@ def invert(b: FloatArray, m: int) -> None:
         s, step = halley(s, wanted, f, g, sine, cosine, height)
         # A step whose cube is rounding was the last.
         b[U * CHUNK + i] = s if step <= _SHORT * min(s, 1.0 - s) else b[U * CHUNK + i] - 2.0
-    for i in range(m):
+    for i in range(CHUNK):
         if b[U * CHUNK + i] < 0:
             f, g = (
                 b[_F * CHUNK + i] + b[(_F + 1) * CHUNK + i],
                 b[(_F + 2) * CHUNK + i] + b[(_F + 3) * CHUNK + i],
             )
-            wanted = b[U * CHUNK + i] + 2.0
+            wanted = (b[U * CHUNK + i] + 2.0) * (b[_LOW * CHUNK + i] * f + b[_HIGH * CHUNK + i] * g)
             sine, cosine = b[_SINE2 * CHUNK + i], b[_COSINE2 * CHUNK + i]
-            b[U * CHUNK + i] = halved(
-                wanted * b[_WHOLE * CHUNK + i], f, g, sine, cosine, b[_HEIGHT * CHUNK + i]
-            )
+            b[U * CHUNK + i] = halved(wanted, f, g, sine, cosine, 2 * b[_HALF * CHUNK + i])
 
 
 @part
@@ -129,6 +127,9 @@ def fill(
     share: FloatArray,
     alias: NDArray[np.int32],
     cells: FloatArray,
+    place: NDArray[np.int32],
+    rows: FloatArray,
+    columns: FloatArray,
     where: NDArray[np.int64],
     ends: FloatArray,
     roots: FloatArray,
@@ -147,10 +148,9 @@ def fill(
 ) -> tuple[int, int]:
     """Draws into ``wo`` (n, 3), ``pdf`` (n,) and ``weight`` (n, C) from at most ``budget`` candidates.
 
-    cells : (K, 12 + 4 C) theta, height, azimuth in the sample's frame, width, the largest sin(2 theta),
-    values at the corners (low, low), (low, high), (high, low), (high, high) of theta and azimuth, sine and
-    cosine of 2 theta and the integral of the values times sin cos along theta, summed over both ends of
-    azimuth; then the corners of every channel.
+    cells : (K, 4 + 4 C) values at the corners (low, low), (low, high), (high, low), (high, high) of theta and
+    azimuth; then the corners of every channel. place : (K, 2) the row and the column of each. rows : (R, 8)
+    as named above. columns : (S, 3) cosine and sine of the middle, in the sample's frame, and half the width.
     Where the field is a sum of powers of bilinear functions: where, ends : (K, 4) flat nodes, and fractions
     at the ends of theta and of azimuth, of each cell; roots (T, N), power and coefficient (T,) of each term,
     those of one channel together; weights : (C,) of the channels. Else they have no rows.
@@ -159,18 +159,31 @@ def fill(
 
     Returns how many candidates were tried, -1 where one exceeded its bound, and how many draws were made.
     """
-    r = resumed(state)
     over = 1.0 / integral
     powered = len(where) > 0
     terms = len(roots) // len(weights)
-    b, items, taken = np.empty(_ROWS * CHUNK), np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
+    bits = np.empty(_ROWS * CHUNK, np.uint64)
+    b = bits.view(np.float64)
+    items, taken = np.empty(CHUNK, np.int64), np.empty(CHUNK + 1, np.int64)
+    known = 8 if exact else 4
     tried = filled = 0
     while filled < len(pdf) and tried < budget:
         m = min(CHUNK, budget - tried)
-        r = proposed(r, share, alias, cells, _COLUMNS if exact else _COLUMNS - 3, items, b, m)
+        proposed(state, share, alias, bits, b, items)
+        for i in range(CHUNK):
+            item = np.uint64(items[i])
+            row, column = np.uint64(place[item, 0]), np.uint64(place[item, 1])
+            b[_F * CHUNK + i], b[(_F + 1) * CHUNK + i] = cells[item, 0], cells[item, 1]
+            b[(_F + 2) * CHUNK + i], b[(_F + 3) * CHUNK + i] = cells[item, 2], cells[item, 3]
+            b[_COSINE * CHUNK + i], b[_SINE * CHUNK + i] = rows[row, 0], rows[row, 1]
+            b[_HALF * CHUNK + i], b[_STEEPEST * CHUNK + i] = rows[row, 2], rows[row, 3]
+            b[_COLUMN * CHUNK + i], b[(_COLUMN + 1) * CHUNK + i] = columns[column, 0], columns[column, 1]
+            b[(_COLUMN + 2) * CHUNK + i] = columns[column, 2]
+            for c in range(4, known):
+                b[(_ROW + c) * CHUNK + i] = rows[row, np.uint64(c)]
         if exact:
-            invert(b, m)
-        for i in range(m):
+            invert(b)
+        for i in range(CHUNK):
             f00, f01 = b[_F * CHUNK + i], b[(_F + 1) * CHUNK + i]
             f10, f11 = b[(_F + 2) * CHUNK + i], b[(_F + 3) * CHUNK + i]
             s = b[U * CHUNK + i] if exact else linear(b[U * CHUNK + i], f00 + f01, f10 + f11)
@@ -188,19 +201,23 @@ def fill(
                             b[V * CHUNK + i], c * terms, (c + 1) * terms,
                         )  # fmt: skip
                 b[_DENSITY * CHUNK + i] = total
-        for i in range(m):
-            cosine, sine = cosine_and_sine(b[_THETA * CHUNK + i] + b[U * CHUNK + i] * b[_HEIGHT * CHUNK + i])
+        for i in range(CHUNK):
+            d = (2 * b[U * CHUNK + i] - 1) * b[_HALF * CHUNK + i]
+            e = (2 * b[V * CHUNK + i] - 1) * b[(_COLUMN + 2) * CHUNK + i]
+            c, s = short_cosine(d), short_sine(d)
             # At the horizon a cosine of rounding size may come out on the wrong side.
-            cosine = max(cosine, 0.0)
-            x, y = cosine_and_sine(b[_PHI * CHUNK + i] + b[V * CHUNK + i] * b[_WIDTH * CHUNK + i])
+            cosine = max(b[_COSINE * CHUNK + i] * c - b[_SINE * CHUNK + i] * s, 0.0)
+            sine = b[_SINE * CHUNK + i] * c + b[_COSINE * CHUNK + i] * s
+            c, s = short_cosine(e), short_sine(e)
+            x, y = b[_COLUMN * CHUNK + i], b[(_COLUMN + 1) * CHUNK + i]
+            b[_OUT * CHUNK + i], b[(_OUT + 1) * CHUNK + i] = sine * (x * c - y * s), sine * (y * c + x * s)
+            b[(_OUT + 2) * CHUNK + i] = cosine
             envelope, density = b[_ENVELOPE * CHUNK + i], b[_DENSITY * CHUNK + i]
             most = b[CHANCE * CHUNK + i] * b[_STEEPEST * CHUNK + i] * envelope
             found = density * cosine * over if exact or most < 2.0 * sine * cosine * density else REJECTED
-            b[_OUT * CHUNK + i], b[(_OUT + 1) * CHUNK + i] = sine * x, sine * y
-            b[(_OUT + 2) * CHUNK + i] = cosine
             b[(_OUT + 3) * CHUNK + i] = ABOVE if density > envelope * slack else found
         before = filled
-        used, filled = collected(b, _OUT, m, every, wo, pdf, taken, filled)
+        used, filled = collected(b, _OUT, m, every or exact, wo, pdf, taken, filled)
         if used < 0:
             return -1, filled
         tried += used
@@ -216,10 +233,9 @@ def fill(
                             where, ends, roots, power, coefficient, item, s, t, c * terms, (c + 1) * terms
                         )
                     else:
-                        j = _COLUMNS + 4 * c
+                        j = 4 + 4 * c
                         low = cells[item, j] + s * (cells[item, j + 2] - cells[item, j])
                         high = cells[item, j + 1] + s * (cells[item, j + 3] - cells[item, j + 1])
                         value = low + t * (high - low)
                     weight[k, c] = value * factor
-    left(state, r)
     return tried, filled

@@ -19,68 +19,92 @@ def located(
     axis: int,
     x: FloatArray,
     start: int,
-    low: NDArray[np.int64],
-    step: NDArray[np.int64],
-    at: int,
-    m: int,
     measured: int,
+    stride: float,
+    low: int,
+    step: int,
+    m: int,
 ) -> None:
-    """Coordinates ``x[start:start + m]`` on one of several axes replaced by fractions between the nodes
-    ``low`` and ``low + step``, from ``at`` on; ``x[measured:measured + m]`` set to 0 where that was not
-    measured.
+    """Coordinates ``x[start:start + m]`` on one of several axes replaced by fractions between two nodes.
 
-    nodes, first, about : as :func:`fitter.sampling.axes.packed` has them.
+    ``x[low:low + m]`` is increased by ``stride`` times the first of these, ``x[step:step + m]`` set to
+    ``stride`` times how much further the other one is, and ``x[measured:measured + m]`` set to 0 where that
+    was not measured: indices as floating-point numbers, which vector instructions can multiply. nodes, first,
+    about : as :func:`fitter.sampling.axes.packed` has them.
     """
-    n, buckets, scale = np.int64(about[axis, 0]), about[axis, 1], about[axis, 2]
-    least, most = about[axis, 3], about[axis, 4]
+    n, buckets, scale = int(about[axis, 0]), about[axis, 1], about[axis, 2]
+    least, most, even = about[axis, 3], about[axis, 4], about[axis, 6]
     origin, closed = nodes[axis, 0], about[axis, 5] > 0
-    for i in range(m):
-        y = x[start + i]
-        if not closed and (y < least or y > most):
-            x[measured + i] = 0.0
+    last = np.float64(n - 1 if closed else n - 2)
+    if not closed:
+        for i in range(m):
+            y = x[start + i]
+            x[measured + i] = 0.0 if y < least or y > most else x[measured + i]
     if n == 1:
         for i in range(m):
-            x[start + i], low[at + i], step[at + i] = 0.0, 0, 0
+            x[start + i], x[step + i] = 0.0, 0.0
         return
-    if scale > 0:
+    if even > 0:
+        # Neither search nor division.
         for i in range(m):
-            bucket = np.int64(min(max((x[start + i] - origin) * scale, 0.0), buckets - 1.0))
-            k = first[axis, bucket]
-            low[at + i] = k + np.int64(nodes[axis, k + 1] <= x[start + i])
+            at = (x[start + i] - origin) * even
+            node = min(max(np.floor(at), 0.0), last)
+            x[start + i], x[step + i] = at - node, node
     else:
         for i in range(m):
-            k, beyond = 0, n
-            while beyond - k > 1:
-                middle = (k + beyond) >> 1
-                if nodes[axis, middle] <= x[start + i]:
-                    k = middle
-                else:
-                    beyond = middle
-            low[at + i] = k
-    last = n - 1 if closed else n - 2
+            y = x[start + i]
+            if scale > 0:
+                bucket = np.int64(min(max((y - origin) * scale, 0.0), buckets - 1.0))
+                k = first[axis, np.uint64(bucket)]
+                k += np.int64(nodes[axis, np.uint64(k + 1)] <= y)
+            else:
+                k = bisected(nodes, axis, n, y)
+            k = np.uint64(min(k, np.int64(last)))
+            below = nodes[axis, k]
+            x[start + i] = (y - below) / (nodes[axis, k + np.uint64(1)] - below)
+            x[step + i] = np.float64(np.int64(k))
     for i in range(m):
-        k = min(low[at + i], last)
-        t = (x[start + i] - nodes[axis, k]) / (nodes[axis, k + 1] - nodes[axis, k])
-        # Beyond an end both corners are the end node, so that its neighbour (masked or not) has no say.
-        above, below = np.int64(t >= 1.0), np.int64(t <= 0.0)
+        k, t = x[step + i], x[start + i]
         x[start + i] = min(max(t, 0.0), 1.0)
         if closed:
-            low[at + i], step[at + i] = k, (1 if k + 1 < n else -k)
+            x[low + i] += k * stride
+            x[step + i] = stride if k < last else -last * stride
         else:
-            low[at + i], step[at + i] = k + above, 1 - above - below
+            # Beyond an end both corners are the end node, so that its neighbour (masked or not) has no say.
+            beyond = t >= 1.0
+            x[low + i] += (k + 1.0 if beyond else k) * stride
+            x[step + i] = 0.0 if beyond or t <= 0.0 else stride
+
+
+@part
+def bisected(nodes: FloatArray, axis: int, n: int, y: float) -> int:
+    """The last of ``n`` nodes at or below y, 0 before the first."""
+    k, beyond = 0, n
+    while beyond - k > 1:
+        middle = (k + beyond) >> 1
+        if nodes[axis, middle] <= y:
+            k = middle
+        else:
+            beyond = middle
+    return k
 
 
 @part
 def half_difference(
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float
+    ix: float, iz: float, ox: float, oy: float, oz: float
 ) -> tuple[float, float, float]:
-    """As :func:`fitter.directions.half_difference_from_components`, without phi_h."""
-    hx, hy, hz = ix + ox, iy + oy, iz + oz
-    flat2 = hx * hx + hy * hy
-    flat, length = np.sqrt(flat2), np.sqrt(flat2 + hz * hz)
-    dx, dy, dz = 0.5 * (ix - ox), 0.5 * (iy - oy), 0.5 * (iz - oz)
-    cos_p, sin_p = (hx / flat, hy / flat) if flat > 0 else (1.0, 0.0)
-    cos_h, sin_h = (hz / length, flat / length) if length > 0 else (1.0, 0.0)
-    x = cos_h * (cos_p * dx + sin_p * dy) - sin_h * dz
-    y = cos_p * dy - sin_p * dx
-    return arc(flat, hz), arc(np.sqrt(dx * dx + dy * dy + dz * dz), 0.5 * length), arc(y, x)
+    """theta_h, theta_d and phi_d of :func:`fitter.directions.half_difference_from_components`, for wi at
+    azimuth 0.
+
+    Sum and difference of unit vectors are orthogonal: with h = wi + wo and d = (wi - wo)/2 the components of
+    d about h are, over the same length, -d_z |h| and, across, h_x d_y - h_y d_x = -i_x o_y.
+    """
+    hx, hz = ix + ox, iz + oz
+    flat2 = hx * hx + oy * oy
+    length = np.sqrt(flat2 + hz * hz)
+    dx, dz = 0.5 * (ix - ox), 0.5 * (iz - oz)
+    # With both at the normal, or opposite on the horizon, h has no azimuth, and counts as at 0.
+    level = flat2 > 0
+    x = -dz * length if level else dx
+    across = np.sqrt(dx * dx + 0.25 * (oy * oy) + dz * dz)
+    return arc(np.sqrt(flat2), hz), arc(across, 0.5 * length), arc(-ix * oy, x)

@@ -33,7 +33,7 @@ def integrals(
     """The field's integral over cells (K, 4) by points ``x`` (n,) in [-1, 1] along both sides and their
     weights, into ``found`` (K,), and at how many of the points it was measured, into ``known`` (K,)."""
     n = len(x)
-    b, where = np.empty(ROWS * CHUNK), np.empty(6 * CHUNK, np.int64)
+    b = np.empty(ROWS * CHUNK)
     per = CHUNK // (n * n)
     for start in range(0, len(cells), per):
         count = min(per, len(cells) - start)
@@ -45,9 +45,9 @@ def integrals(
             b[(OUT + 2) * CHUNK + i] = cosine
             b[WEIGHT * CHUNK + i] *= sine * cosine
         angles(about, nodes[2, 0], wi, b, m)
-        placed(nodes, first, about, where, b, m)
+        placed(nodes, first, about, b, m)
         for i in range(m):
-            b[DENSITY * CHUNK + i] = trilinear(table, where, b, i)
+            b[DENSITY * CHUNK + i] = trilinear(table, b, i)
         summed(b, DENSITY, start, count, n * n, found, known)
 
 
@@ -80,7 +80,7 @@ def bounds(
         _, tall = cosine_and_sine(0.25 * (theta1 - theta0))
         _, wide = cosine_and_sine(0.25 * (phi1 - phi0))
         radius = 2 * np.arcsin(np.sqrt(min(tall * tall + sine * sine1 * wide * wide, 1.0)))
-        theta_h, theta_d, phi_d = half_difference(wi[0], 0.0, wi[1], sine * c, sine * s, cosine)
+        theta_h, theta_d, phi_d = half_difference(wi[0], wi[1], sine * c, sine * s, cosine)
         # 2. to 4. How far each angle may be from there.
         reach_d = 0.5 * radius + slack
         steepest = theta_d + reach_d

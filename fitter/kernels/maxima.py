@@ -115,6 +115,30 @@ def windowed(
     return max(np.float64(levels[level, row, column, start]), np.float64(levels[level, row, column, stop]))
 
 
+@part
+def over_rectangle(
+    nodes: FloatArray, sparse: NDArray[np.float64], x0: float, x1: float, y0: float, y1: float
+) -> float:
+    """As :class:`fitter.sampling.maxima.BilinearMaximum`, of one image, of which nodes and sparse are as
+    :func:`fitter.sampling.maxima.packed` has them."""
+    rows, columns = sparse.shape[2], sparse.shape[3]
+    x, y = span(nodes, 0, columns, x0, x1), span(nodes, 1, rows, y0, y1)
+    if x[1] - x[0] > 2 or y[1] - y[0] > 2:
+        return box(sparse, y[0], y[1], x[0], x[1])
+    i0, i1, i2 = x[0], min(x[0] + 1, columns - 1), min(x[0] + 2, columns - 1)
+    j0, j1, j2 = y[0], min(y[0] + 1, rows - 1), min(y[0] + 2, rows - 1)
+    image, most = sparse[0, 0], -np.inf
+    for p in range(3):
+        b0, b1, b2 = shares(nodes, 1, rows, y, p)
+        r0 = b0 * image[j0, i0] + b1 * image[j1, i0] + b2 * image[j2, i0]
+        r1 = b0 * image[j0, i1] + b1 * image[j1, i1] + b2 * image[j2, i1]
+        r2 = b0 * image[j0, i2] + b1 * image[j1, i2] + b2 * image[j2, i2]
+        for q in range(3):
+            a0, a1, a2 = shares(nodes, 0, columns, x, q)
+            most = max(most, a0 * r0 + a1 * r1 + a2 * r2)
+    return most
+
+
 @compiled
 def over_windows(
     around: FloatArray, levels: NDArray[np.float32], whole: FloatArray, count: int,

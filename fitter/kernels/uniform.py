@@ -1,71 +1,66 @@
 """Random numbers inside kernels: xoshiro256++ (D. Blackman, S. Vigna 2021, "Scrambled linear pseudorandom
-number generators"), one stream for each block of draws, seeded by NumPy's SeedSequence."""
+number generators"), ``LANES`` streams side by side, so that vector instructions move them on together; seeded
+by NumPy's SeedSequence, anew for each block of draws."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.kernels import compiled, part
+from fitter.kernels import compiled, part, routine
 
-#: A stream's state: four words of 64 bits, not all 0.
-State = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+Words = NDArray[np.uint64]
+
+#: Streams that move on together; each has a state of four words, not all 0.
+LANES = 16
+#: Words of a state: the first word of every stream, then the second of every stream, ...
+STATE = 4 * LANES
 
 _U = np.uint64
-_ULP = 2.0**-53
-_LOW = np.uint64((1 << 27) - 1)
-_SHIFT_11, _SHIFT_27 = np.uint64(11), np.uint64(27)
+# A double in [1, 2) whose last 52 bits count: as fast as vector instructions make numbers of words.
+_ONE = np.uint64(0x3FF0000000000000)
+_SHIFT_12, _SHIFT_26, _SHIFT_38 = np.uint64(12), np.uint64(26), np.uint64(38)
+_LOW_38, _SHIFT_14 = np.uint64((1 << 38) - 1), np.uint64(14)
+
+
+@routine
+def moved(state: Words, found: Words, count: int) -> None:
+    """The next ``count`` words, a multiple of ``LANES``, into the first of ``found``; the streams move on."""
+    lanes = _U(LANES)
+    for k in range(_U(count // LANES)):
+        start = k * lanes
+        for j in range(lanes):
+            a, b, c, d = state[j], state[lanes + j], state[_U(2) * lanes + j], state[_U(3) * lanes + j]
+            total = a + d
+            found[start + j] = ((total << _U(23)) | (total >> _U(41))) + a
+            shifted = b << _U(17)
+            c ^= a
+            d ^= b
+            b ^= c
+            a ^= d
+            c ^= shifted
+            state[j], state[lanes + j], state[_U(2) * lanes + j] = a, b, c
+            state[_U(3) * lanes + j] = (d << _U(45)) | (d >> _U(19))
 
 
 @part
-def resumed(state: NDArray[np.uint64]) -> State:
-    """A stream where it was left."""
-    return state[0], state[1], state[2], state[3]
+def one(bits: Words, row: int, count: int) -> None:
+    """``count`` words from ``row`` on as the bits of multiples of 2^-52 in [1, 2)."""
+    for i in range(count):
+        bits[row + i] = (bits[row + i] >> _SHIFT_12) | _ONE
 
 
 @part
-def left(state: NDArray[np.uint64], s: State) -> None:
-    """Leave a stream, to be resumed there."""
-    state[0], state[1], state[2], state[3] = s
-
-
-@part
-def following(s: State) -> tuple[np.uint64, State]:
-    """The next 64 bits, and the state after them."""
-    a, b, c, d = s
-    total = a + d
-    found = ((total << _U(23)) | (total >> _U(41))) + a
-    moved = b << _U(17)
-    c ^= a
-    d ^= b
-    b ^= c
-    a ^= d
-    c ^= moved
-    d = (d << _U(45)) | (d >> _U(19))
-    return found, (a, b, c, d)
-
-
-@part
-def uniform(s: State) -> tuple[float, State]:
-    """A multiple of 2^-53 in [0, 1)."""
-    bits, s = following(s)
-    return np.int64(bits >> _SHIFT_11) * _ULP, s
-
-
-@part
-def two(s: State) -> tuple[float, float, State]:
-    """Two numbers in [0, 1) of one word: multiples of 2^-26 and of 2^-27."""
-    bits, s = following(s)
-    bits >>= _SHIFT_11
-    return np.int64(bits >> _SHIFT_27) * 2.0**-26, np.int64(bits & _LOW) * 2.0**-27, s
+def two(bits: Words, row: int, other: int, count: int) -> None:
+    """``count`` words from ``row`` on as the bits of two numbers in [1, 2) each: there of multiples of 2^-38,
+    and from ``other`` on of multiples of 2^-26."""
+    for i in range(count):
+        word = bits[row + i]
+        bits[other + i] = ((word >> _SHIFT_38) << _SHIFT_26) | _ONE
+        bits[row + i] = ((word & _LOW_38) << _SHIFT_14) | _ONE
 
 
 @compiled
-def words(state: NDArray[np.uint64], count: int) -> NDArray[np.uint64]:
-    """The next ``count`` words of a stream (4,), which moves on."""
-    s = resumed(state)
-    found = np.empty(count, np.uint64)
-    for k in range(count):
-        found[k], s = following(s)
-    left(state, s)
-    return found
+def words(state: Words, found: Words) -> None:
+    """The next words of streams with states (``STATE``,), which move on, the streams in turn."""
+    moved(state, found, len(found))

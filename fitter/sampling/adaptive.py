@@ -20,11 +20,11 @@ from fitter.parts import in_parts
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.cells import ChartSlice
 from fitter.sampling.curvature import gain_of_image
-from fitter.sampling.drawing import Kernel
+from fitter.sampling.drawing import Kernel, in_lines
 from fitter.sampling.envelope import JointEnvelope, Method, no_inversion
 from fitter.sampling.interpolant import Slice, in_chunks, pairs
 from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
-from fitter.sampling.maxima import BilinearMaximum
+from fitter.sampling.maxima import packed
 from fitter.sampling.parameterisation import Adaptive
 from fitter.sampling.warp import Corner, looked_up, lookup
 
@@ -35,8 +35,9 @@ _CHUNK = 1 << 14
 _KIND = "a table in an adaptive parameterisation"
 #: Rounding of places in the uniform square.
 SLACK = 1e-9
-# Columns of the cells to begin with; the rows are those of the warp.
-_COLUMNS = 32
+# Columns of the cells to begin with. The rows are those of the warp, cut to this many at least: cells are
+# then narrow enough for a short series of their azimuths' sines.
+_COLUMNS, _ROWS = 32, 24
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,10 @@ class AdaptiveField:
         self._wi = folded[0]
         blend = adaptive.blend(folded)
         theta_i, phi_i = (float(a[0]) for a in directions.spherical_from_vector(folded))
-        self._turn = phi_i if adaptive.isotropic else 0.0
+        self._turn = float(phi_i) if adaptive.isotropic else 0.0
         share = [(int(node[0]), float(weight[0])) for node, weight in blend]
         self._warp = adaptive.warp.blended(share)
+        self._packed = self._warp.packed
         raw = sum(w * adaptive.data[k].astype(np.float64) for k, w in share)
         clamped = sum(w * np.maximum(adaptive.data[k].astype(np.float64), 0.0) for k, w in share)
         self._channels = np.asarray(clamped)
@@ -124,10 +126,11 @@ class AdaptiveField:
         self._ndf = np.asarray(adaptive.ndf, np.float64) if adaptive.jacobian else np.full((2, 2), 4.0)
         at = np.array([np.sqrt(theta_i * (2 / np.pi))]), np.array([np.mod(phi_i / (2 * np.pi) + 0.5, 1.0)])
         self._sigma = float(lookup(adaptive.sigma, *at)[0]) if adaptive.jacobian else 1.0
-        self._most = BilinearMaximum(np.nan_to_num(self._clamped, nan=0.0)), BilinearMaximum(self._ndf)
+        self._most = packed(np.nan_to_num(self._clamped, nan=0.0)), packed(self._ndf)
 
     def edges(self) -> tuple[FloatArray, FloatArray]:
-        return np.linspace(0, 1, _COLUMNS + 1), np.linspace(0, 1, self._warp.shape[0])
+        rows = self._warp.shape[0] - 1
+        return np.linspace(0, 1, _COLUMNS + 1), np.linspace(0, 1, rows * -(-_ROWS // rows) + 1)
 
     def measures(self, cells: FloatArray) -> FloatArray:
         return (cells[:, 1] - cells[:, 0]) * (cells[:, 3] - cells[:, 2])
@@ -144,14 +147,15 @@ class AdaptiveField:
         from fitter.kernels import adaptive
 
         u0, u1, v0, v1 = cells.T
-        rows = np.stack([u0, u1 - u0, v0, v1 - v0, majorant], axis=1)
+        azimuth = (v0 + v1 - 1) * np.pi + self._turn
+        rows = in_lines([u0, u1 - u0, v0, v1 - v0, majorant, np.cos(azimuth), np.sin(azimuth)], 8)
         channels = self._channels.reshape(len(self._channels), -1).T.reshape(-1)
         clamped, lobes = self._clamped.reshape(-1), self._ndf.reshape(-1)
         return Kernel(
             partial(
-                adaptive.fill, *alias.boxes, rows, *self._warp.packed, clamped, self._clamped.shape, channels,
+                adaptive.fill, *alias.boxes, rows, *self._packed, clamped, self._clamped.shape, channels,
                 lobes, self._ndf.shape, self._factor, self._quantity == "ccbrdf", self._incidence,
-                tuple(map(float, self._sign)), float(self._turn), integral,
+                tuple(map(float, self._sign)), integral,
             )
         )  # fmt: skip
 
@@ -165,7 +169,7 @@ class AdaptiveField:
 
         def some(part: slice) -> None:
             integrals(
-                cells[part], x, share, *self._warp.packed, data.reshape(-1), data.shape,
+                cells[part], x, share, *self._packed, data.reshape(-1), data.shape,
                 self._ndf.reshape(-1), self._ndf.shape, self._factor, self._quantity == "ccbrdf",
                 self._incidence, float(self._turn), found[part], known[part],
             )  # fmt: skip
@@ -223,18 +227,20 @@ class AdaptiveField:
            :class:`fitter.sampling.half_difference.HalfDifferenceField`.
         4. u sin(theta_m) grows with u.
         """
-        u0, u1, v0, v1 = cells.T
-        corners = [self._square(u, v) for u in (u0, u1) for v in (v0, v1)]
-        s, t = (np.stack(column) for column in zip(*corners, strict=True))
-        most, ndf = self._most
-        value = most(*(f(x, axis=0) + w for x in (s, t) for f, w in ((np.min, -SLACK), (np.max, SLACK))))
-        along = nearest_cosine(cells, self._turn, self._wi[None], 0.0)
-        value *= (
-            ndf(u0, u1, v0, v1) * along * (2 * np.pi**2 / self._sigma) * u1 * np.sin(u1 * u1 * (np.pi / 2))
-        )
-        # wo is 2 (wi.m) m - wi: all below the horizon where even the largest factors leave it there.
-        value[2 * along * np.cos(u0 * u0 * (np.pi / 2)) < self._wi[2] * (1 - 1e-9)] = 0.0
-        return np.maximum(value, 0.0) * (1 + ROUNDING)
+        from fitter.kernels.adaptive_cells import bounds
+
+        found = np.empty(len(cells))
+        data, lobe = self._most
+        factor = 2 * np.pi**2 / self._sigma
+
+        def some(part: slice) -> None:
+            bounds(
+                cells[part], *self._packed, *data, *lobe, factor, self._incidence, self._turn, SLACK,
+                found[part],
+            )  # fmt: skip
+
+        in_parts(some, len(cells), AT_ONCE, MANY)
+        return found * (1 + ROUNDING)
 
     def solid_angle(self, a: FloatArray, b: FloatArray) -> FloatArray:
         along = np.maximum(self._half(a, b) @ self._wi, 0.0)
@@ -259,9 +265,9 @@ class AdaptiveField:
         )
 
     def place(self, a: FloatArray, b: FloatArray) -> tuple[NDArray[Any], ...]:
-        return self._packed(self._placed(a, b), self.directions(a, b)[:, 2])
+        return self._flat(self._placed(a, b), self.directions(a, b)[:, 2])
 
-    def _packed(self, place: tuple[Corner, Corner], height: FloatArray) -> tuple[NDArray[Any], ...]:
+    def _flat(self, place: tuple[Corner, Corner], height: FloatArray) -> tuple[NDArray[Any], ...]:
         return (*(column for at in place for column in (at.i, at.j, at.x, at.y)), height)
 
     def channels(self, place: tuple[NDArray[Any], ...]) -> FloatArray:

@@ -156,19 +156,27 @@ def axes_of(grid: Grid) -> tuple[Axis, ...]:
 
 def packed(axes: Sequence[Axis]) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """Axes for kernels: nodes (A, n), after the last one that where the axis begins again; the node at the
-    start of each of equal buckets (A, m); and (A, 6) how many nodes and how many buckets, buckets per radian
-    (0: none), extent, period (0: none)."""
+    start of each of equal buckets (A, m); and (A, 7) how many nodes and how many buckets, buckets per radian
+    (0: none), extent, period (0: none), nodes per radian (0: not evenly spaced)."""
     most = max(len(axis.nodes) for axis in axes) + 1
     buckets = [(0.0, np.zeros(1, np.intp)) if axis.buckets is None else axis.buckets[:2] for axis in axes]
-    nodes, about = np.full((len(axes), most), np.inf), np.zeros((len(axes), 6))
+    nodes, about = np.full((len(axes), most), np.inf), np.zeros((len(axes), 7))
     first = np.zeros((len(axes), max(len(some) for _, some in buckets)), np.int64)
     for k, (axis, (scale, some)) in enumerate(zip(axes, buckets, strict=True)):
         n, (low, high) = len(axis.nodes), axis.extent
         nodes[k, :n], first[k, : len(some)] = axis.nodes, some
         if axis.period is not None:
             nodes[k, n] = axis.nodes[0] + axis.period
-        about[k] = n, len(some), scale, low - _SLACK, high + _SLACK, axis.period or 0.0
+        about[k] = n, len(some), scale, low - _SLACK, high + _SLACK, axis.period or 0.0, _even(axis)
     return nodes, first, about
+
+
+def _even(axis: Axis) -> float:
+    """Nodes per radian, 0 where they are not evenly spaced but for rounding."""
+    end = [] if axis.period is None else [axis.nodes[0] + axis.period]
+    step = np.diff(np.append(axis.nodes, end))
+    even = len(step) > 0 and float(np.ptp(step)) < _ROUNDING * float(step.mean())
+    return 1 / float(step.mean()) if even else 0.0
 
 
 def fractions_at_ends(axis: Axis, place: Place, half: FloatArray) -> tuple[FloatArray, FloatArray]:

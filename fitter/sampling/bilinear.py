@@ -13,7 +13,7 @@ theta)/2 is largest at 45 degrees if the cell holds it, else at the end that is 
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +22,38 @@ from fitter import directions
 from fitter.kernels import bilinear
 from fitter.sampling.alias import AliasTable
 from fitter.sampling.arcs import moments
-from fitter.sampling.drawing import Kernel
+from fitter.sampling.drawing import Kernel, in_lines
 from fitter.sampling.envelope import Method, SliceInfo, empty_slice, no_inversion
 from fitter.sampling.refining import worth_halving
 from fitter.sampling.spherical import SphericalField
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
 
 #: Covers the rounding of the interpolation (a few sums of products).
 ROUNDING = 1e-9
 _QUARTER = np.pi / 4
-# Cells are at most so tall (radians): the series of the inversion need it.
-_TALLEST = 0.13
+# Cells are at most so tall and so wide (radians): the series of the inversion, and of sines, need it.
+_TALLEST, _WIDEST = 0.13, 0.26
 _ROUNDS = 40
 # Gauss-Legendre points per direction of fields that are powers: to steer the refinement, and in the end.
 _STEER = 2
 _FINAL = 5
+
+
+class _Sides:
+    """Intervals of one angle, start (R,) and length (R,), which cells share: rows of them, or columns."""
+
+    def __init__(self, edges: FloatArray) -> None:
+        self.start, self.length = edges[:-1], np.diff(edges)
+
+    def halves(self, which: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """The lower and the upper half of each interval of ``which`` (K,), added to those there are."""
+        used, where = np.unique(which, return_inverse=True)
+        count, start, half = len(self.start), self.start[used], 0.5 * self.length[used]
+        self.start = np.concatenate([self.start, start, start + half])
+        self.length = np.concatenate([self.length, half, half])
+        return count + where, count + len(used) + where
 
 
 class BilinearEnvelope:
@@ -53,55 +68,74 @@ class BilinearEnvelope:
         if method == "inversion" and not field.linear:
             raise no_inversion("an incidence whose lobe is narrow against the grid")
         self._exact = method == "inversion"
-        rectangles, corners = self._refine(field.cells(_TALLEST), acceptance, cells)
-        self._finish(rectangles, corners, method)
+        edges = field.edges(_TALLEST, _WIDEST)
+        self._rows, self._columns = (_Sides(some) for some in edges)
+        row, column = (some.reshape(-1) for some in np.indices([len(some) - 1 for some in edges]))
+        corners = field.corners_of_grid(*edges)
+        measured = np.flatnonzero(np.isfinite(corners.sum(axis=0)))
+        row, column, corners = row[measured], column[measured], corners[:, measured]
+        if not self._exact:
+            row, column, corners = self._refine(row, column, corners, acceptance, cells)
+        self._finish(row, column, corners, method)
 
-    def _refine(self, rectangles: FloatArray, acceptance: float, most: int) -> tuple[FloatArray, FloatArray]:
-        field = self._field
-        corners = field.corners(rectangles)
-        measured = np.isfinite(corners).all(axis=1)
-        rectangles, corners = rectangles[measured], corners[measured]
-        if self._exact:
-            return rectangles, corners
-        mass = self._mass(rectangles, corners, _STEER)
+    def _rectangles(self, row: IndexArray, column: IndexArray) -> FloatArray:
+        """(K, 4) theta0, theta1, phi0, phi1 of cells."""
+        theta, phi = self._rows.start[row], self._columns.start[column]
+        return np.stack([theta, theta + self._rows.length[row], phi, phi + self._columns.length[column]], 1)
+
+    def _refine(
+        self, row: IndexArray, column: IndexArray, corners: FloatArray, acceptance: float, most: int
+    ) -> tuple[IndexArray, IndexArray, FloatArray]:
+        mass = self._mass(row, column, corners, _STEER)
         for _ in range(_ROUNDS):
-            split = worth_halving(_envelope(rectangles, corners), mass, acceptance, most)
+            split = worth_halving(self._envelope(row, column, corners), mass, acceptance, most)
             if split is None:
                 break
-            fresh = self._halves(rectangles[split], corners[split])
-            found = field.corners(fresh)
-            rectangles = np.concatenate([rectangles[~split], fresh])
-            corners = np.concatenate([corners[~split], found])
-            mass = np.concatenate([mass[~split], self._mass(fresh, found, _STEER)])
-        return rectangles, corners
+            fresh = self._halves(row[split], column[split], corners[:, split])
+            found = self._field.corners(self._rectangles(*fresh)).T
+            row, column = (
+                np.concatenate([old[~split], new]) for old, new in zip((row, column), fresh, strict=True)
+            )
+            corners = np.concatenate([corners[:, ~split], found], axis=1)
+            mass = np.concatenate([mass[~split], self._mass(*fresh, found, _STEER)])
+        return row, column, corners
 
-    def _halves(self, rectangles: FloatArray, corners: FloatArray) -> FloatArray:
-        """Both halves of each, cut across theta where that is what the envelope loses by."""
-        theta0, theta1, phi0, phi1 = rectangles.T
-        theta, phi = 0.5 * (theta0 + theta1), 0.5 * (phi0 + phi1)
-        if self._field.linear:
-            tall = np.ones(len(rectangles), bool)
-        else:
-            mean = corners.mean(axis=1)
+    def _halves(
+        self, row: IndexArray, column: IndexArray, corners: FloatArray
+    ) -> tuple[IndexArray, IndexArray]:
+        """Rows and columns of both halves of each, cut across theta where that is what the envelope loses
+        by."""
+        tall = np.ones(len(row), bool)
+        if not self._field.linear:
+            theta0, theta1, phi0, phi1 = self._rectangles(row, column).T
+            theta, phi = 0.5 * (theta0 + theta1), 0.5 * (phi0 + phi1)
+            mean = corners.mean(axis=0)
             # What the bilinear interpolant exceeds the field by half-way along theta, and along azimuth.
             along = 0.5 * (self._field.density(theta, phi0) + self._field.density(theta, phi1))
             across = 0.5 * (self._field.density(theta0, phi) + self._field.density(theta1, phi))
             steep = mean * np.abs(np.cos(2 * theta)) * (theta1 - theta0)
             tall = np.nan_to_num(mean - along + 0.5 * steep) >= np.nan_to_num(mean - across)
-        first = np.stack([theta0, np.where(tall, theta, theta1), phi0, np.where(tall, phi1, phi)], axis=1)
-        second = np.stack([np.where(tall, theta, theta0), theta1, np.where(tall, phi0, phi), phi1], axis=1)
-        return np.concatenate([first, second])
+        rows, columns = np.stack([row, row]), np.stack([column, column])
+        rows[:, tall], columns[:, ~tall] = self._rows.halves(row[tall]), self._columns.halves(column[~tall])
+        return rows.reshape(-1), columns.reshape(-1)
 
     def _mass(
-        self, rectangles: FloatArray, corners: FloatArray, points: int, *, clamped: bool = True
+        self,
+        row: IndexArray,
+        column: IndexArray,
+        corners: FloatArray,
+        points: int,
+        *,
+        clamped: bool = True,
     ) -> FloatArray:
         """(K,) integral of the field times cos(theta) over each cell: exact where it is bilinear."""
         if self._field.linear:
-            low, high = moments(rectangles[:, 0], rectangles[:, 1] - rectangles[:, 0])
-            width = 0.5 * (rectangles[:, 3] - rectangles[:, 2])
-            return width * (low * (corners[:, 0] + corners[:, 1]) + high * (corners[:, 2] + corners[:, 3]))
+            low, high = moments(self._rows.start, self._rows.length)
+            found = low.take(row) * (corners[0] + corners[1])
+            found += high.take(row) * (corners[2] + corners[3])
+            return found * (0.5 * self._columns.length).take(column)
         x, weight = np.polynomial.legendre.leggauss(points)
-        theta0, theta1, phi0, phi1 = (side[:, None, None] for side in rectangles.T)
+        theta0, theta1, phi0, phi1 = (side[:, None, None] for side in self._rectangles(row, column).T)
         theta = 0.5 * (theta0 + theta1) + 0.5 * (theta1 - theta0) * x[None, :, None]
         phi = 0.5 * (phi0 + phi1) + 0.5 * (phi1 - phi0) * x[None, None, :]
         theta, phi = np.broadcast_arrays(theta, phi)
@@ -109,47 +143,70 @@ class BilinearEnvelope:
         jacobian = 0.25 * (theta1 - theta0) * (phi1 - phi0) * 0.5 * np.sin(2 * theta)
         return np.einsum("kij,i,j->k", value * jacobian, weight, weight)
 
-    def _finish(self, rectangles: FloatArray, corners: FloatArray, method: Method) -> None:
+    def _envelope(self, row: IndexArray, column: IndexArray, corners: FloatArray) -> FloatArray:
+        """(K,) integral of the envelope over each cell."""
+        start, length = self._rows.start, self._rows.length
+        found = (0.25 * length * _steepest(start, start + length)).take(row)
+        found *= self._columns.length.take(column)
+        return found * corners.sum(axis=0)
+
+    def _finish(self, row: IndexArray, column: IndexArray, corners: FloatArray, method: Method) -> None:
         field = self._field
-        mass = self._mass(rectangles, corners, _FINAL)
+        mass = self._mass(row, column, corners, _FINAL)
         integral = float(mass.sum())
         if not integral > 0:
             raise empty_slice()
-        error = clamped = 0.0
-        if not field.linear:
-            error = float(np.abs(mass - self._mass(rectangles, corners, _FINAL - 1)).sum()) / integral
-        if field.clamps:
-            raw = field.corners(rectangles, clamped=False)
-            clamped = 1.0 - float(self._mass(rectangles, raw, _FINAL, clamped=False).sum()) / integral
-        theta0, theta1, phi0, phi1 = rectangles.T
-        sphere = np.sin(0.5 * (theta1 - theta0)) * np.sin(0.5 * (theta1 + theta0)) * (phi1 - phi0) / np.pi
-        disk = np.sin(theta1 - theta0) * np.sin(theta1 + theta0) * (phi1 - phi0) / (2 * np.pi)
-        envelope = mass if self._exact else _envelope(rectangles, corners)
-        keep = envelope > 0
-        theta0, theta1, phi0, phi1 = rectangles[keep].T
-        self._theta, self._height = theta0.copy(), theta1 - theta0
-        self._phi, self._width = phi0.copy(), phi1 - phi0
-        self._corner = corners[keep].T
-        self._steepest = 2 * _steepest(theta0, theta1)
-        every = np.zeros((0, 4, len(theta0)))
+        envelope = mass if self._exact else self._envelope(row, column, corners)
+        self._all = row, column, corners, mass
+        keep = np.flatnonzero(envelope > 0)
+        row, column, corners = row[keep], column[keep], corners[:, keep]
+        self._row, self._column, self._corner = row, column, corners
+        every = np.zeros((0, len(row)))
         if field.linear and field.count > 1:
-            every = field.corners_of_channels(rectangles[keep])
-        columns = [
-            self._theta, self._height, self._phi + field.rotation, self._width, self._steepest, *self._corner,
-            np.sin(2 * theta0), np.cos(2 * theta0), mass[keep] / (0.5 * self._width * self._height),
-            *every.reshape(-1, len(theta0)),
-        ]  # fmt: skip
+            every = field.corners_of_channels(self._rectangles(row, column)).reshape(-1, len(row))
+        theta, height = self._rows.start, self._rows.length
+        phi, width = self._columns.start + 0.5 * self._columns.length + field.rotation, self._columns.length
+        middle, (low, high) = theta + 0.5 * height, moments(theta, height)
+        self._steepest = 2 * _steepest(theta, theta + height)
+        rows = (
+            np.cos(middle), np.sin(middle), 0.5 * height, self._steepest, np.sin(2 * theta),
+            np.cos(2 * theta), low / height, high / height,
+        )  # fmt: skip
+        powers = field.powers(np.zeros((0, 4)) if field.linear else self._rectangles(row, column))
         self.kernel = Kernel(
             partial(
-                bilinear.fill, *AliasTable(envelope[keep]).boxes, np.stack(columns, axis=1),
-                *field.powers(rectangles[keep]), 1 + ROUNDING, self._exact, integral,
+                bilinear.fill, *AliasTable(envelope[keep]).boxes,
+                in_lines([*corners, *every], 4 + len(every)),
+                np.stack([row, column], axis=1).astype(np.int32),
+                np.stack(rows, axis=1), np.stack([np.cos(phi), np.sin(phi), 0.5 * width], axis=1),
+                *powers, 1 + ROUNDING, self._exact, integral,
             )
         )  # fmt: skip
         self.integral, self.acceptance = integral, integral / float(envelope.sum())
-        self.info = SliceInfo(
-            integral=integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
-            blind=max(1.0 - float(sphere.sum()), 0.0), cells=int(keep.sum()),
-            acceptance=self.acceptance, extrapolated=field.extrapolated, method=method,
+        self._method: Method = method
+
+    @property
+    def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        return self._info
+
+    @cached_property
+    def _info(self) -> SliceInfo:
+        field, (row, column, corners, mass) = self._field, self._all
+        error = clamped = 0.0
+        if not field.linear:
+            error = float(np.abs(mass - self._mass(row, column, corners, _FINAL - 1)).sum()) / self.integral
+        if field.clamps:
+            raw = field.corners(self._rectangles(row, column), clamped=False).T
+            raw = self._mass(row, column, raw, _FINAL, clamped=False)
+            clamped = 1.0 - float(raw.sum()) / self.integral
+        theta0, theta1, phi0, phi1 = self._rectangles(row, column).T
+        sphere = np.sin(0.5 * (theta1 - theta0)) * np.sin(0.5 * (theta1 + theta0)) * (phi1 - phi0) / np.pi
+        disk = np.sin(theta1 - theta0) * np.sin(theta1 + theta0) * (phi1 - phi0) / (2 * np.pi)
+        return SliceInfo(
+            integral=self.integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
+            blind=max(1.0 - float(sphere.sum()), 0.0), cells=len(self._row), acceptance=self.acceptance,
+            extrapolated=field.extrapolated, method=self._method,
         )  # fmt: skip
 
     def energy_error(self) -> float:
@@ -164,25 +221,21 @@ class BilinearEnvelope:
 
     def attack(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
         """``(field cos, bound)`` at ``count`` points made to break the bound: sides and corners of cells."""
-        cell = rng.integers(0, len(self._theta), count)
+        cell = rng.integers(0, len(self._row), count)
         s, t = rng.random((2, count))
         s, t = (np.where(rng.random(count) < 0.4, np.round(x), x) for x in (s, t))
         f00, f01, f10, f11 = (corner[cell] for corner in self._corner)
         envelope = (1 - s) * ((1 - t) * f00 + t * f01) + s * ((1 - t) * f10 + t * f11)
-        theta, phi = self._theta[cell] + s * self._height[cell], self._phi[cell] + t * self._width[cell]
+        row, column = self._row[cell], self._column[cell]
+        theta = self._rows.start[row] + s * self._rows.length[row]
+        phi = self._columns.start[column] + t * self._columns.length[column]
         # Of two cells that share a side, the one that the rounding chooses may be the other one.
         density = self._field.density(theta, phi)
         steep = 0.5 * np.sin(2 * theta)
-        return density * steep, envelope * (1 + ROUNDING) * 0.5 * self._steepest[cell] * (1 + 1e-15)
+        return density * steep, envelope * (1 + ROUNDING) * 0.5 * self._steepest[row] * (1 + 1e-15)
 
 
 def _steepest(theta0: FloatArray, theta1: FloatArray) -> FloatArray:
     """Largest sin(theta) cos(theta) between the angles."""
     nearest = np.clip(_QUARTER, theta0, theta1)
     return 0.5 * np.sin(2 * nearest) * (1 + 1e-15)
-
-
-def _envelope(rectangles: FloatArray, corners: FloatArray) -> FloatArray:
-    """(K,) integral of the envelope over each cell."""
-    theta0, theta1, phi0, phi1 = rectangles.T
-    return (theta1 - theta0) * (phi1 - phi0) * corners.mean(axis=1) * _steepest(theta0, theta1)

@@ -5,7 +5,7 @@ A block has a random stream of its own, so that the same seed gives the same dra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Event
 from typing import Protocol
@@ -22,6 +22,8 @@ Arrays = tuple[FloatArray, FloatArray, FloatArray | None]
 
 # Candidates of a kernel until it is asked whether to go on.
 _UNTIL_ASKED = 1 << 20
+# Numbers of a cache line.
+_LINE = 8
 
 
 class Drawable(Protocol):
@@ -52,7 +54,7 @@ class Kernel:
         """As :class:`Drawable` has it."""
         wo, pdf, weight = out
         weight = np.empty((len(pdf), 0)) if weight is None else weight
-        state = seed.generate_state(4, np.uint64)
+        state = seed.generate_state(_words(), np.uint64)
         tried = filled = 0
         while filled < len(pdf) and tried < budget and not stop.is_set():
             some = min(budget - tried, _UNTIL_ASKED)
@@ -64,12 +66,30 @@ class Kernel:
 
     def candidates(self, rng: np.random.Generator, m: int) -> tuple[FloatArray, BoolArray]:
         """``(wo (m, 3), accepted (m,))`` of ``m`` candidates."""
-        state = rng.integers(0, 2**64, 4, np.uint64)
+        state = rng.integers(0, 2**64, _words(), np.uint64)
         wo, pdf = np.empty((m, 3)), np.empty(m)
         tried, _ = self.call(state, True, wo, pdf, np.empty((m, 0)), m)
         if tried < 0:
             raise violated()
         return wo, pdf >= 0
+
+
+def in_lines(columns: Sequence[FloatArray], width: int) -> FloatArray:
+    """(K, width) of ``columns`` (K,) each, the rest 0, from the start of a cache line on: rows of 4 or 8 then
+    take no more lines than they must."""
+    count = len(columns[0])
+    space = np.zeros(count * width + _LINE)
+    start = -space.ctypes.data // space.itemsize % _LINE
+    rows = space[start : start + count * width].reshape(count, width)
+    for k, column in enumerate(columns):
+        rows[:, k] = column
+    return rows
+
+
+def _words() -> int:
+    from fitter.kernels.uniform import STATE  # imports Numba: not before something is drawn
+
+    return STATE
 
 
 def violated() -> FitError:

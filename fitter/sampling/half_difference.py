@@ -15,7 +15,7 @@ from fitter.sampling.alias import AliasTable
 from fitter.sampling.axes import Place, corners, multilinear
 from fitter.sampling.axes import packed as packed_axes
 from fitter.sampling.curvature import gain
-from fitter.sampling.drawing import Kernel
+from fitter.sampling.drawing import Kernel, in_lines
 from fitter.sampling.majorants import AT_ONCE, MANY, ROUNDING
 from fitter.sampling.maxima import BoxMaximum, WindowMaximum
 
@@ -101,10 +101,14 @@ class HalfDifferenceField:
 
         theta0, theta1, phi0, phi1 = cells.T
         change = np.sin(theta1 - theta0) * np.sin(theta1 + theta0)
-        rows = np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, phi0, phi1 - phi0, majorant
+        middle = 0.5 * (phi0 + phi1)
+        rows = (
+            np.sin(theta0) ** 2, np.cos(theta0) ** 2, change, np.cos(middle), np.sin(middle),
+            0.5 * (phi1 - phi0), majorant,
+        )  # fmt: skip
         return Kernel(
             partial(
-                half_difference.fill, *alias.boxes, np.stack(rows, axis=1),
+                half_difference.fill, *alias.boxes, in_lines(rows, 8),
                 *self._axes, self._incidence,
                 (float(np.cos(self._rotation)), float(np.sin(self._rotation))), self._shared.weighted,
                 self._table.value, integral,

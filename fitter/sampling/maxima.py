@@ -116,6 +116,15 @@ class BilinearMaximum:
         return most
 
 
+def packed(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What kernels need for the largest values of an image (H, W) over rectangles of the unit square: nodes
+    (2, n) of x and of y, and its maxima over boxes."""
+    nodes = np.full((2, max(image.shape)), np.inf)
+    for row, n in zip(nodes, image.shape[::-1], strict=True):
+        row[:n] = np.linspace(0, 1, n)
+    return nodes, BoxMaximum(image).sparse
+
+
 def _rounded_up(table: FloatArray) -> NDArray[np.float32]:
     """The next float32 above: half the memory, still a bound."""
     with np.errstate(over="ignore"):

@@ -95,18 +95,11 @@ class SphericalField:
                 )
         return found
 
-    def cells(self, tallest: float) -> FloatArray:
-        """(K, 4) theta0, theta1, phi0, phi1: the grid's cells within the hemisphere, cut to ``tallest``."""
+    def edges(self, tallest: float, widest: float) -> tuple[FloatArray, FloatArray]:
+        """Of theta and of azimuth: the sides of the grid's cells within the hemisphere, and what cuts those
+        to ``tallest`` and ``widest``."""
         theta, phi = self._theta.breakpoints(0.0, np.pi / 2), self._phi.breakpoints(-np.pi, np.pi)
-        pieces = np.ceil(np.diff(theta) / tallest).astype(int)
-        fine = [
-            np.linspace(a, b, n, endpoint=False)
-            for a, b, n in zip(theta[:-1], theta[1:], pieces, strict=True)
-        ]
-        theta = np.append(np.concatenate(fine), theta[-1])
-        i, j = np.meshgrid(np.arange(len(theta) - 1), np.arange(len(phi) - 1), indexing="ij")
-        i, j = i.reshape(-1), j.reshape(-1)
-        return np.stack([theta[i], theta[i + 1], phi[j], phi[j + 1]], axis=1)
+        return _cut(theta, tallest), _cut(phi, widest)
 
     def _places(self, theta: FloatArray, phi: FloatArray) -> tuple[Place, Place]:
         return self._theta.locate(theta), self._phi.locate(self._wrapped(phi))
@@ -115,24 +108,28 @@ class SphericalField:
         start = self._phi.nodes[0]
         return start + np.mod(phi - start, self._phi.period or 2 * np.pi)
 
+    def _rows(self, start: FloatArray, end: FloatArray) -> tuple[Place, tuple[FloatArray, FloatArray]]:
+        """Of intervals of theta inside one cell of the grid: their places, and fractions at both ends."""
+        place = self._theta.locate(0.5 * (start + end))
+        return place, fractions_at_ends(self._theta, place, 0.5 * (end - start))
+
+    def _columns(self, start: FloatArray, end: FloatArray) -> tuple[Place, tuple[FloatArray, FloatArray]]:
+        """The same of intervals of azimuth."""
+        # The interval's own side of each node, which rounding at its ends would not tell.
+        middle = self._wrapped(0.5 * (start + end))
+        place = self._phi.locate(middle)
+        low, high = fractions_at_ends(self._phi, place, 0.5 * (end - start))
+        back = self._phi.mirrored(middle)
+        return place, (np.where(back, high, low), np.where(back, low, high))
+
     def _ends(
         self, rectangles: FloatArray
     ) -> tuple[tuple[Place, Place], list[tuple[FloatArray, FloatArray]]]:
         """Of cells inside one cell of the grid: its places, and fractions at both ends, of theta and of
         azimuth."""
         theta0, theta1, phi0, phi1 = rectangles.T
-        # The cell's own side of each node, which rounding at its corners would not tell.
-        middle = self._wrapped(0.5 * (phi0 + phi1))
-        places = self._theta.locate(0.5 * (theta0 + theta1)), self._phi.locate(middle)
-        ends = [
-            fractions_at_ends(axis, place, 0.5 * length)
-            for axis, place, length in zip(
-                (self._theta, self._phi), places, (theta1 - theta0, phi1 - phi0), strict=True
-            )
-        ]
-        back = self._phi.mirrored(middle)
-        ends[1] = np.where(back, ends[1][1], ends[1][0]), np.where(back, ends[1][0], ends[1][1])
-        return places, ends
+        theta, phi = self._rows(theta0, theta1), self._columns(phi0, phi1)
+        return (theta[0], phi[0]), [theta[1], phi[1]]
 
     def powers(self, rectangles: FloatArray) -> tuple[NDArray[Any], ...]:
         """What kernels need to know of cells where the field is not bilinear, see
@@ -159,6 +156,24 @@ class SphericalField:
             for k, some in enumerate(terms):
                 found[k, corner] = self._blend(at, some)
         return found
+
+    def corners_of_grid(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
+        """(4, R S) as :meth:`corners`, of all cells between the R + 1 and S + 1 :meth:`edges`."""
+        row, down = self._rows(theta[:-1], theta[1:])
+        column, across = self._columns(phi[:-1], phi[1:])
+        found = np.zeros((2, 2, len(row.low), len(column.low)))
+        for term in self._weighted:
+            nodes = term.nodes.reshape(self._shape)
+            for s, one in zip(down, found, strict=True):
+                side = nodes[row.low]
+                side += s[:, None] * (nodes[row.high] - side)
+                for t, corner in zip(across, one, strict=True):
+                    low = side.take(column.low, axis=1)
+                    low += t * (side.take(column.high, axis=1) - low)
+                    corner += term.coefficient * powered(low, term.power)
+        found[:, :, ~row.measured] = np.nan
+        found[:, :, :, ~column.measured] = np.nan
+        return found.reshape(4, -1)
 
     def corners(self, rectangles: FloatArray, *, clamped: bool = True) -> FloatArray:
         """(K, 4) weighted values at corners of cells inside one cell of the grid; NaN where unmeasured."""
@@ -187,6 +202,15 @@ class SphericalField:
         """(M, C) f+ of every channel."""
         places = self._places(theta, phi)
         return np.stack([self._blend(places, terms) for terms in self._channels], axis=1)
+
+
+def _cut(edges: FloatArray, longest: float) -> FloatArray:
+    """``edges``, and between those further apart than ``longest`` others."""
+    pieces = np.ceil(np.diff(edges) / longest).astype(int)
+    if (pieces == 1).all():
+        return edges
+    fine = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges, edges[1:], pieces, strict=False)]
+    return np.append(np.concatenate(fine), edges[-1])
 
 
 def powered(x: FloatArray, power: float | FloatArray) -> FloatArray:

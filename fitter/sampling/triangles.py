@@ -11,7 +11,7 @@ function, a point uniform in it, accepted with probability value / bound.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,13 +45,11 @@ class TriangleEnvelope:
     ) -> None:
         self._slice, self._weights = part, weights
         self._channels = len(weights)
-        mesh = _common(part)
-        raw = mesh.integrals()[:, self._channels :].sum(axis=0) @ weights
+        self._mesh = mesh = _common(part)
         mesh = Mesh(mesh.corners, mesh.values[..., : self._channels])
         integral = float(mesh.integrals().sum(axis=0) @ weights)
         if not integral > 0:
             raise empty_slice()
-        region, sphere = float(mesh.areas.sum()), _solid_angle(mesh)
         self._exact = method == "inversion"
         if not self._exact:
             # A common mesh may have more triangles than that to begin with.
@@ -61,28 +59,31 @@ class TriangleEnvelope:
         keep = hats.sum(axis=1) > 0
         value, hats, corners = value[keep], hats[keep], mesh.corners[keep]
         self._bound = value.max(axis=1) * (1 + _ROUNDING)
-        every = mesh.values[keep]
-        if self._exact:  # an item for every corner of every triangle, that corner first
-            order = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1]])
-            corners, value, every = (
-                x[:, order].reshape(-1, 3, *x.shape[2:]) for x in (corners, value, every)
-            )
-        self._point = _columns(np.concatenate([corners, value[..., None]], axis=2))
-        items = (*self._point, *(_columns(every) if self._channels > 1 else ()))
-        self.kernel = Kernel(
-            partial(
-                triangles.fill, *AliasTable(hats.reshape(-1)).boxes,
-                np.stack([one for column in items for one in column], axis=1), 1 + _ROUNDING, self._exact,
-                (float(np.cos(part.rotation)), float(np.sin(part.rotation))), integral,
-            )
-        )  # fmt: skip
+        every = mesh.values[keep][:, :, : self._channels if self._channels > 1 else 0]
+        c, s = np.cos(part.rotation), np.sin(part.rotation)
+        x, y = corners[..., 0], corners[..., 1]
+        turned = [c * x - s * y, s * x + c * y, value / integral, *np.moveaxis(every, 2, 0)]
+        self._corners = np.stack(turned, axis=2)
+        # By inversion an item is a corner of a triangle, else a triangle.
+        boxes = AliasTable(hats.T.reshape(-1)).boxes
+        self.kernel = Kernel(partial(triangles.fill, *boxes, self._corners, 1 + _ROUNDING, self._exact))
         drawn = float(hats.sum())
         self.integral, self.acceptance = integral, min(integral / drawn, 1.0)
-        self.info = SliceInfo(
-            integral=integral, integral_error=0.0, clamped_share=1.0 - float(raw) / integral,
-            coverage=min(region / np.pi, 1.0), blind=max(1.0 - sphere / (2 * np.pi), 0.0),
-            cells=int(keep.sum()), acceptance=self.acceptance, extrapolated=part.extrapolated,
-            method=method,
+        self._method: Method = method
+
+    @property
+    def info(self) -> SliceInfo:
+        """What is known of the slice; what drawing does not need is computed when it is asked for."""
+        return self._info
+
+    @cached_property
+    def _info(self) -> SliceInfo:
+        raw = self._mesh.integrals()[:, self._channels :].sum(axis=0) @ self._weights
+        return SliceInfo(
+            integral=self.integral, integral_error=0.0, clamped_share=1.0 - float(raw) / self.integral,
+            coverage=min(float(self._mesh.areas.sum()) / np.pi, 1.0),
+            blind=max(1.0 - _solid_angle(self._mesh) / (2 * np.pi), 0.0), cells=len(self._corners),
+            acceptance=self.acceptance, extrapolated=self._slice.extrapolated, method=self._method,
         )  # fmt: skip
 
     def energy_error(self) -> float:
@@ -112,41 +113,14 @@ class TriangleEnvelope:
 
     def attack(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
         """``(field cos, bound)`` at ``count`` points chosen to break the bound: corners and sides."""
-        item = rng.integers(0, len(self._point[0][0]), count)
+        item = rng.integers(0, len(self._corners), count)
         share = rng.dirichlet((0.2, 0.2, 0.2), count)
-        x, y, _ = (_mixed(column, item, share[:, 1], share[:, 2]) for column in self._point)
+        x, y = np.einsum("kc,kcd->dk", share, self._corners[item, :, :2])
         inside = x * x + y * y <= 1
-        turn = self._slice.rotation
-        wo = np.stack(
-            [
-                np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y,
-                np.sqrt(np.maximum(1 - x * x - y * y, 0.0)),
-            ], axis=1,
-        )  # fmt: skip
+        wo = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0.0))], axis=1)
         # A point on a side may be found in the triangle beyond it, by the tolerance of that search.
         slack = _SIDE * float(self._bound.max())
         return self.values(wo[inside]) @ self._weights, self._bound[item[inside]] + slack
-
-
-def _columns(items: FloatArray) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
-    """Of (n, 3, K): for each of the K, its value at the first corner and its changes to the other two."""
-    first = items[:, 0]
-    return tuple(
-        (first[:, k].copy(), items[:, 1, k] - first[:, k], items[:, 2, k] - first[:, k])
-        for k in range(items.shape[2])
-    )
-
-
-def _mixed(
-    column: tuple[FloatArray, FloatArray, FloatArray],
-    item: NDArray[np.intp],
-    second: FloatArray,
-    third: FloatArray,
-) -> FloatArray:
-    found = column[0].take(item)
-    found += second * column[1].take(item)
-    found += third * column[2].take(item)
-    return found
 
 
 def _common(part: ScatteredSlice) -> Mesh:

@@ -104,10 +104,13 @@ class Warp:
         return found
 
     @property
-    def packed(self) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-        """The first density for kernels: flat, its integrals along the rows, flat, and over the rows (H,);
-        W."""
-        return self._density[0].reshape(-1), self._along_x[0].reshape(-1), self._along_y[0], self.shape[1]
+    def packed(self) -> tuple[FloatArray, FloatArray, int]:
+        """The first density for kernels: beside each of its values the integral along the row up to there,
+        flat; the integral of each row and that over the rows up to there, flat; W."""
+        along = self._along_x[0]
+        values = np.stack([self._density[0], along], axis=2)
+        rows = np.stack([along[:, -1], self._along_y[0]], axis=1)
+        return values.reshape(-1), rows.reshape(-1), self.shape[1]
 
     def inverse(self, blend: Blend, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where in the uniform square the points (M,) come from, for densities blended as ``blend`` says."""

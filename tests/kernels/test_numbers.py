@@ -16,15 +16,35 @@ from fitter.kernels.bilinear import halley, halved, linear, up_to
 
 
 def test_random_numbers_are_the_published_ones() -> None:
-    """xoshiro256++ from the state 1, 2, 3, 4, as its authors' C program gives them."""
-    state = np.array([1, 2, 3, 4], np.uint64)
+    """xoshiro256++ from the state 1, 2, 3, 4, as its authors' C program gives them, on every lane."""
+    state = np.repeat(np.array([1, 2, 3, 4], np.uint64), uniform.LANES)
     first = [
         41943041, 58720359, 3588806011781223, 3591011842654386, 9228616714210784205,
         9973669472204895162, 14011001112246962877, 12406186145184390807, 15849039046786891736,
         10450023813501588000,
     ]  # fmt: skip
-    assert uniform.words(state, 4).tolist() == first[:4]
-    assert uniform.words(state, 6).tolist() == first[4:]  # the stream goes on where it was
+    found = np.empty((10, uniform.LANES), np.uint64)
+    uniform.words(state, found[:4].reshape(-1))
+    uniform.words(state, found[4:].reshape(-1))  # the streams go on where they were
+    assert (found == np.array(first, np.uint64)[:, None]).all()
+
+
+@compiled
+def _numbers(bits: np.ndarray, count: int) -> None:
+    uniform.two(bits, 0, 2 * count, count)
+    uniform.one(bits, count, count)
+
+
+def test_numbers_of_words() -> None:
+    """One number of 52 bits, or one of 38 and one of 26: all bits of a word are used once."""
+    words = np.random.default_rng(3).integers(0, 2**64, 1000, np.uint64)
+    words[:3] = 0, 2**64 - 1, 2**38 - 1
+    bits = np.concatenate([words, words, words])
+    _numbers(bits, 1000)
+    low, one, high = bits.view(np.float64).reshape(3, 1000) - 1
+    assert (one * 2**52 == words >> np.uint64(12)).all()
+    assert (high * 2**26 == words >> np.uint64(38)).all()
+    assert (low * 2**38 == words % np.uint64(2**38)).all()
 
 
 @compiled
@@ -90,7 +110,9 @@ def test_kernels_are_kept_and_do_without_a_folder(tmp_path: Path) -> None:
     setting stays."""
     code = (
         "import numba, numpy as np; from fitter.kernels import uniform; "
-        "print(uniform.words(np.array([1, 2, 3, 4], np.uint64), 1)[0], repr(numba.config.CACHE_DIR))"
+        "found = np.empty(16, np.uint64); "
+        "uniform.words(np.repeat(np.array([1, 2, 3, 4], np.uint64), 16), found); "
+        "print(found[0], repr(numba.config.CACHE_DIR))"
     )
     (tmp_path / "file").write_text("in the way of a folder")
     for base in (tmp_path / "kept", tmp_path / "file"):
