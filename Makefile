@@ -3,7 +3,7 @@
 PYTHON ?= python3
 UV ?= uv
 # Test processes: one more than cores, since some tests wait for a server, a browser or a cluster.
-WORKERS ?= $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1)))
+WORKERS ?= $(shell echo $$(($$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)))
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help

@@ -99,7 +99,7 @@ def half_difference_components(
     along, down, across = (cos_h * sin_d) * cos_p, (sin_h * sin_d) * cos_p, sin_d * np.sin(phi_d)
     flat, up = sin_h * cos_d, cos_h * cos_d
     found = [flat + along, across, up - down, flat - along, -across, up + down]
-    if np.any(phi_h):
+    if phi_h.ndim or phi_h:
         turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
         for k in (0, 3):
             x, y = found[k], found[k + 1]

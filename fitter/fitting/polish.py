@@ -79,7 +79,7 @@ def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chu
         terms, slopes = with_slopes(layout, u, pair)
         r = separable.model(layout, terms, inner) - y
         of_k = slopes.swapaxes(0, 1).reshape(k * own, terms.shape[1])
-        x = rows.stacked([row * w[0] for row in (*terms, *of_k, *r)])
+        x = rows.joined([part * w for part in (terms, of_k, r)])
         return total + x @ x.T
 
     size = k + k * own

@@ -125,8 +125,8 @@ def _sums(layout: Layout, span: Span, slabs: int, length: int, block: Arrays) ->
     terms = [layout.family.terms(layout.spec, q, Pair(*pair)) for q in _nonlinear(span)]
     columns = rows.settled(*(term for found in terms for term in found))
     # Channels of one weight share their columns, (1, n) each; others have their own.
-    values = y[:, None] if len(w) == 1 else [y]
-    x = rows.stacked([column * w for column in (*columns, *values)])
+    values = y[None] * w if len(w) == 1 else (y * w)[:, None]
+    x = rows.joined([*((column * w)[:, None] for column in columns), values])
     x = x.reshape(*x.shape[:2], slabs, length)
     return jnp.einsum("gisn,gjsn->sgij", x, x)
 

@@ -20,12 +20,20 @@ def settled(*made: Array) -> tuple[Array, ...]:
 
 
 def stacked(rows: Sequence[Array]) -> Array:
-    """(..., R, n) of R rows (..., n). Put in their places one by one: a concatenation becomes one loop that
-    asks at each element which row it belongs to, which the processor's vectors can't do."""
-    *outer, n = rows[0].shape
-    made = jnp.zeros((*outer, len(rows), n), rows[0].dtype)
-    for k, row in enumerate(rows):
-        made = made.at[..., k, :].set(row)
+    """(..., R, n) of R rows (..., n)."""
+    return joined([row[..., None, :] for row in rows])
+
+
+def joined(groups: Sequence[Array]) -> Array:
+    """(..., R, n) of groups (..., R_i, n) of rows, R = sum R_i. Put in their places one by one: a
+    concatenation becomes one loop that asks at each element which row it belongs to, which the processor's
+    vectors can't do. Each group takes a part of the program, so what grows with the channels is one."""
+    *outer, _, n = groups[0].shape
+    made = jnp.zeros((*outer, sum(group.shape[-2] for group in groups), n), groups[0].dtype)
+    start = 0
+    for group in groups:
+        made = made.at[..., start : start + group.shape[-2], :].set(group)
+        start += group.shape[-2]
     return made
 
 

@@ -1,6 +1,6 @@
 """The usable samples of a table as blocks of component arrays, whole or a weighted subset.
 
-Nothing is expanded beforehand: directions, weights and targets of a block are made when it is asked for, so
+Nothing is expanded beforehand: directions and weights of a block are made when it is asked for, so
 that a fit needs little memory beside the table, whatever its size.
 """
 

@@ -1,9 +1,9 @@
 """Loops compiled to machine code by Numba: what array operations can't do without a pass over memory each.
 
 A kernel is arrays in, arrays out, and holds no lock: threads run it side by side. It is compiled when it is
-first called, which takes two to ten seconds, and kept in the cache folder of the program for the processes to
-come; where that can't be written, each process compiles for itself. Numba itself takes a quarter of a second
-to import, so the modules of this package are imported where they are needed and not before.
+first called, which takes three to twenty seconds, and kept in the cache folder of the program for the
+processes to come; where that can't be written, each process compiles for itself. Numba itself takes a quarter
+of a second to import, so the modules of this package are imported where they are needed and not before.
 """
 
 from __future__ import annotations

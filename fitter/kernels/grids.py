@@ -9,6 +9,8 @@ from fitter.kernels import part
 from fitter.kernels.angles import arc
 
 FloatArray = NDArray[np.float64]
+#: Of the steps of an even axis: what is this near to a node is at it.
+ROUNDING = 1e-11
 
 
 @part
@@ -48,6 +50,9 @@ def located(
         # Neither search nor division.
         for i in range(m):
             at = (x[start + i] - origin) * even
+            # A node is at itself, not short of it by rounding: its neighbour has no say there, masked or not.
+            whole = np.floor(at + 0.5)
+            at = whole if abs(at - whole) < ROUNDING else at
             node = min(max(np.floor(at), 0.0), last)
             x[start + i], x[step + i] = at - node, node
     else:

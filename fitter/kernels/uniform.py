@@ -62,5 +62,6 @@ def two(bits: Words, row: int, other: int, count: int) -> None:
 
 @compiled
 def words(state: Words, found: Words) -> None:
-    """The next words of streams with states (``STATE``,), which move on, the streams in turn."""
+    """The next words of streams with states (``STATE``,), which move on, the streams in turn: a whole number
+    from each."""
     moved(state, found, len(found))

@@ -204,9 +204,10 @@ class BilinearEnvelope:
         sphere = np.sin(0.5 * (theta1 - theta0)) * np.sin(0.5 * (theta1 + theta0)) * (phi1 - phi0) / np.pi
         disk = np.sin(theta1 - theta0) * np.sin(theta1 + theta0) * (phi1 - phi0) / (2 * np.pi)
         return SliceInfo(
-            integral=self.integral, integral_error=error, clamped_share=clamped, coverage=float(disk.sum()),
-            blind=max(1.0 - float(sphere.sum()), 0.0), cells=len(self._row), acceptance=self.acceptance,
-            extrapolated=field.extrapolated, method=self._method,
+            integral=self.integral, integral_error=error, clamped_share=clamped,
+            coverage=min(float(disk.sum()), 1.0), blind=max(1.0 - float(sphere.sum()), 0.0),
+            cells=len(self._row), acceptance=self.acceptance, extrapolated=field.extrapolated,
+            method=self._method,
         )  # fmt: skip
 
     def energy_error(self) -> float:

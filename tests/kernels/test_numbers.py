@@ -36,7 +36,7 @@ def _numbers(bits: np.ndarray, count: int) -> None:
 
 
 def test_numbers_of_words() -> None:
-    """One number of 52 bits, or one of 38 and one of 26: all bits of a word are used once."""
+    """One number of 52 bits, or one of 38 and one of 26, which share none of a word's bits."""
     words = np.random.default_rng(3).integers(0, 2**64, 1000, np.uint64)
     words[:3] = 0, 2**64 - 1, 2**38 - 1
     bits = np.concatenate([words, words, words])

@@ -13,6 +13,7 @@ from scipy.signal import find_peaks
 from fitter.directions import mirror, vector_from_spherical
 from fitter.errors import TableError
 from fitter.grid import Grid
+from fitter.sampling import TableSampler
 from fitter.sampling.interpolant import interpolant
 from fitter.table import Table
 from tests.sampling.tables import anisotropic, ggx, merl, scattered, spherical
@@ -171,3 +172,16 @@ def test_directions_that_make_no_sense(wo: object) -> None:
     with pytest.raises(TableError) as caught:
         TABLES[0].evaluate([0.0, 0.0, 1.0], wo)  # type: ignore[arg-type]
     assert caught.value.code == "bad-directions"
+
+
+def test_a_node_at_the_end_of_an_even_axis_needs_no_neighbour() -> None:
+    """Of pi as a multiple of its step rounding makes less than the whole number that it is: at normal
+    incidence, where phi_d is pi everywhere, a masked neighbour was asked then."""
+    axes = {"theta_h": np.linspace(0, np.pi / 2, 20), "theta_d": np.linspace(0, np.pi / 2, 20)}
+    for n in (8, 18, 19, 37):
+        grid = Grid("half_difference", {**axes, "phi_d": np.linspace(0, np.pi, n)})
+        mask = np.ones(grid.shape, bool)
+        mask[:, :, n - 2] = False
+        table = Table(value=np.ones(grid.size), grid=grid, mask=mask.reshape(-1))
+        drawn = TableSampler(table).sample(np.array([0.0, 0.0, 1.0]), 1000, seed=1)
+        assert drawn.weight.mean() == pytest.approx(np.pi, rel=0.02)
