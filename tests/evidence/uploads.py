@@ -121,7 +121,7 @@ def _content(one: Input, name: str = "", data: bytes = b"") -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
         for member, content in files.items():
-            archive.writestr(member, content)
+            archive.writestr(zipfile.ZipInfo(member), content)  # with no time in it: the same bytes each time
     return packed.getvalue()
 
 
