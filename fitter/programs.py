@@ -86,7 +86,7 @@ class _Asked:
 def _folder(leaves: Sequence[Any], given: Sequence[object]) -> str | None:
     """Where programs are kept; None where they are not, or where this one is part of a larger program."""
     place: str | None = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    if place is None or jax.default_backend() != "cpu" or any(isinstance(a, Tracer) for a in leaves):
+    if not place or jax.default_backend() != "cpu" or any(isinstance(a, Tracer) for a in leaves):
         return None
     families = [family for a in given if isinstance(family := getattr(a, "family", None), type)]
     return place if all(family.__module__.startswith("fitter.") for family in families) else None

@@ -200,7 +200,7 @@ def _usual_passes(runs: Sequence[Run]) -> int:
 
 
 def _compiling(book: Book, case: Case, effort: Effort, runs: Sequence[Run]) -> float:
-    kept = jax.config.jax_compilation_cache_dir is not None  # pyright: ignore[reportAttributeAccessIssue]
+    kept = bool(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
     found = 0.0
     for part, program in case.programs(effort).items():
         if program in compiled_here():
