@@ -31,6 +31,9 @@ LOOK_EVERY = 1.0
 #: started again.
 RETRY_AFTER = (0.2, 0.5, 1.0, 2.0, 2.0, 2.0, 4.0, 4.0, 8.0, 8.0, 16.0)
 
+#: Attempts of a job that may meet a database that does not answer.
+OUTAGES = 3
+
 #: How it went: a final state of the row, "queued" where it was put back, "overtaken" where it is not ours.
 Ended = Literal["done", "failed", "cancelled", "queued", "overtaken"]
 
@@ -58,6 +61,12 @@ class Attempt:
             outcome = Outcome(problem=of_fitter_error(error))
         except Problem as error:
             outcome = Outcome(problem=document(error.status_code, error.code, error.detail, **error.more))
+        except DATABASE as error:
+            # What the work reads was not to be had for a while: that says nothing of the job.
+            _log.warning("job %s is given back: the database did not answer", job.id, exc_info=True)
+            problem = outage(error) or internal()
+            ours = self._persist(lambda: self._store.give_back(job, OUTAGES, problem))
+            return "queued" if ours else "overtaken"
         except Exception as error:
             _log.exception("job %s failed", job.id)
             outcome = Outcome(problem=outage(error) or internal())

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from api.engine import InProcess
 from api.jobs import EXHAUSTED, Runner
@@ -83,6 +84,37 @@ def until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def test_a_database_that_is_away_is_not_held_against_a_job(store: Store, kept: str) -> None:
+    """What work reads may be out of reach for a while; where it stays so the job ends with that reason."""
+    begun: list[str] = []
+
+    def reads(progress: Progress) -> Outcome:
+        begun.append("first")
+        if len(begun) == 1:
+            raise OperationalError("select", {}, Exception("connection refused"))
+        return Outcome(results=[{"kind": "fit"}])
+
+    job = queued(store, kept)
+    runner = run(store, reads)
+    until(lambda: state(store, job) in (DONE, FAILED))
+    runner.stop(5)
+    row = store.get(JobRow, job.id)
+    assert row is not None
+    assert (row.state, row.attempt, row.results) == (DONE, 2, [{"kind": "fit"}])
+
+    def never(progress: Progress) -> Outcome:
+        raise OperationalError("select", {}, Exception("connection refused"))
+
+    other = queued(store, kept)
+    runner = run(store, never)
+    until(lambda: state(store, other) in (DONE, FAILED))
+    runner.stop(5)
+    row = store.get(JobRow, other.id)
+    assert row is not None
+    assert row.problem is not None
+    assert (row.state, row.problem["code"]) == (FAILED, "database-away")
 
 
 def test_done_failed_and_unforeseen(store: Store, kept: str) -> None:
