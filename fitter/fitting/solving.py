@@ -54,7 +54,7 @@ def solve(
     index, scale = draw(subset) if reduced is None else none
     if part is None:
         part = data.part(group, index, padded(len(index)), scale)
-    y, weight = _tangent(metric, part, floor)
+    y, weight = tangent(metric, part, floor)
     clock.lap("reduce")
     finder = search.search if request.solver == "optimistix" else nlopt_solver.search
     seen = slice(padded(part.count))
@@ -179,12 +179,12 @@ def _exchanged(
     share of itself the objective of the tangent problem fell by them."""
     if part is None:
         part = data.part(group, np.arange(len(data)), len(data))
-    y, weight = _tangent(data.metric, part, data.floor[list(group)])
+    y, weight = tangent(data.metric, part, data.floor[list(group)])
     t = len(places.entries)
     return exchange.improved(places, part.pair, y, weight, [end.p[:t] for end in ends])
 
 
-def _tangent(metric: Metric, part: Block, floor: FloatArray) -> tuple[FloatArray, FloatArray]:
+def tangent(metric: Metric, part: Block, floor: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, C) the values of a block and the weights of the quadratic objective at them."""
     y = np.ascontiguousarray(part.y.T)
     weight = np.asarray(metrics.linearised_weight(metric, y, part.weight.T, floor))

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from fitter.fitting import separable
 from fitter.fitting.layout import Layout, channel_groups, layout
-from fitter.fitting.metrics import linearised_weight
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import padded
+from fitter.fitting.solving import tangent
 from fitter.fitting.usable import usable
 from fitter.table import Table
 
@@ -49,8 +49,7 @@ def scan(table: Table, reference: FitResult) -> dict[str, Any] | None:
     minima = 0
     for group in channel_groups(spec, channels):
         part = data.part(group, index, padded(len(index)), scale)
-        y = part.y.T
-        weight = np.asarray(linearised_weight(metric, y, part.weight.T, data.floor[group]))
+        y, weight = tangent(metric, part, data.floor[group])
         candidates = jnp.asarray(np.concatenate([grid, _coordinates(places, reference, group[0])[None]]))
         cost = np.asarray(separable.screen(places, candidates, part.pair, y, weight)).sum(axis=1)
         found = np.where(np.isfinite(cost), cost, np.inf)
