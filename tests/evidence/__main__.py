@@ -48,8 +48,13 @@ def main(words: Sequence[str] | None = None) -> int:
         whole = merged(json.loads(path.read_text()), document) if path.exists() else document
         write_bytes((json.dumps(whole, indent=1) + "\n").encode(), path)
         write_bytes("\n".join([*page.head(), *page.lines(whole)]).encode(), path.with_suffix(".md"))
-    broken = sum(len(row["violations"]) for study in document["studies"] for row in study["rows"])
-    print(f"\nseed {seed}: {broken or 'no'} violation(s)", file=sys.stderr)
+    # Once more and last: of a long log the end is what is kept.
+    broken = [
+        f"{study['name']}: {row['model']}: {one}"
+        for study in document["studies"] for row in study["rows"] for one in row["violations"]
+    ]  # fmt: skip
+    print("", *broken, sep="\n", file=sys.stderr)
+    print(f"seed {seed}: {len(broken) or 'no'} violation(s)", file=sys.stderr)
     return 1 if broken else 0
 
 

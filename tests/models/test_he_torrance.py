@@ -16,7 +16,7 @@ from tests.models.statistics import finite
 from tests.models.test_transmission import unit
 
 SERIES = jax.jit(series)
-SLOPES = jax.jit(jax.grad(series, argnums=(0, 1)))
+SLOPES = jax.jit(jax.grad(series, argnums=(0, 1, 2)))
 MIRROR = {"kd": 0.0, "eta": 0.01, "kappa": 20.0}  # F = 0.9999
 
 
@@ -37,10 +37,11 @@ def test_series_digits(dtype):
     info = np.finfo(dtype)
     for g in (1e-12, 1e-3, 0.5, 3, 12, 30, 59.9, 60.1, 80, 632, 15_000):
         for sideways in (0, 0.1, 3, 300, 3e4, 4e7):
-            exact = _exact(float(dtype(g)), float(dtype(sideways)))
-            found = SERIES(dtype(g), dtype(sideways))
+            turn = np.sqrt(dtype(g))
+            exact = _exact(float(turn) ** 2, float(dtype(sideways)))
+            found = SERIES(turn, dtype(sideways), dtype(0))
             assert found.dtype == dtype
-            assert np.isfinite(np.asarray(SLOPES(dtype(g), dtype(sideways)))).all()
+            assert np.isfinite(np.asarray(SLOPES(turn, dtype(sideways), dtype(0)))).all()
             if exact < 1e8 * info.tiny:
                 assert found <= 1.01e8 * info.tiny
                 continue
@@ -55,7 +56,23 @@ def test_series_slopes():
         with mp.workdps(30):
             by_g = float(mp.diff(lambda x: _exact(x, sideways), g))  # noqa: B023
             by_a = float(mp.diff(lambda x: _exact(g, x), sideways))  # noqa: B023
-        np.testing.assert_allclose(SLOPES(g, sideways), (by_g, by_a), rtol=1e-9)
+        turn, scale = np.sqrt(g), 1.7
+        exact = scale * np.array([2 * turn * by_g, by_a, float(_exact(g, sideways))])
+        np.testing.assert_allclose(SLOPES(turn, sideways, np.log(scale)), exact, rtol=1e-9)
+
+
+def test_small_sums_of_large_factors():
+    """The sum alone, 1e-310 and less, is below float64; the value, by 70 digits, is not."""
+    values = {
+        "kd": 0.0, "sigma": 1.6591715897601826, "tau": 17.220095656173378, "eta": 0.5583794607948712,
+        "kappa": 4.735802008335519,
+    }  # fmt: skip
+    wi = np.array([0.8505327089832323, -0.5259221520876399, 2.988561081379078e-05])
+    wo = np.array([0.8544952899553363, -0.5194233043145973, 0.006101670185357848])
+    found = models.create("he_torrance", **values).evaluate(wi, wo)
+    assert float(np.ravel(found)[0]) == pytest.approx(4.6165912512019598161e-301, rel=1e-10)
+    smooth = models.create("he_torrance", **{**values, "sigma": 0.0}).evaluate(wi, wo)
+    assert float(np.ravel(smooth)[0]) == 0.0
 
 
 def test_lambert_w_digits():
