@@ -45,6 +45,10 @@ class Incoming:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.discard()
+
+    def discard(self) -> None:
+        """Delete whatever was not kept, as leaving does: of a large file that takes a while."""
         self._file.close()
         for path in (self.path, self.packed):
             if path is not None:

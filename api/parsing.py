@@ -2,6 +2,7 @@
 
 Whatever a file does to its reader, it does to that process. One is forked for each upload, in some ten
 milliseconds, from a server process that has the readers loaded and nothing else: no threads, no JAX, no data.
+The next upload's is forked when the one before has ended, so that it need not wait for that.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import multiprocessing
 import os
 import resource
 import sys
+import threading
 import traceback
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import orjson
 from anyio import CapacityLimiter
@@ -46,34 +49,44 @@ class Parsed:
     description: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class _Reader:
+    """A process that reads one upload, and the connection to it."""
+
+    process: ForkServerProcess
+    connection: Connection
+
+    def end(self) -> None:
+        self.connection.close()
+        self.process.kill()
+        self.process.join()
+        self.process.close()
+
+
 class Parsers:
     """Reads uploads, ``at_once`` at a time: who calls :meth:`parse` in a thread takes it with ``limiter``."""
 
     def __init__(self, at_once: int, limits: Limits) -> None:
         self._limits = limits
+        self._next: _Reader | None = None
+        self._closed = False
+        self._lock = threading.Lock()
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload([__name__, "api.readers"])
         self.limiter = CapacityLimiter(at_once)
 
     def parse(self, path: Path, options: dict[str, Any], sha256: str) -> Parsed:
         """Read the file at ``path``. Raises Problem: the file's fault, or 500 where it is ours."""
-        receiver, sender = self._context.Pipe(duplex=False)
-        process = self._context.Process(
-            target=_read, args=(sender, str(path), options, sha256, self._limits), daemon=True
-        )
-        process.start()
-        sender.close()
+        reader = self._given(orjson.dumps({"path": str(path), "options": options, "sha256": sha256}))
         try:
             # JSON, not pickles: what comes out of there is made by what may be a hostile file's code by now.
-            found: Any = orjson.loads(receiver.recv_bytes()) if receiver.poll(self._limits.seconds) else None
-        except EOFError:
-            process.join()
-            found = {"died": process.exitcode}
+            answered = reader.connection.poll(self._limits.seconds)
+            found: Any = orjson.loads(reader.connection.recv_bytes()) if answered else None
+        except (EOFError, ConnectionError):
+            reader.process.join()
+            found = {"died": reader.process.exitcode}
         finally:
-            receiver.close()
-            process.kill()
-            process.join()
-            process.close()
+            threading.Thread(target=self._change, args=(reader,)).start()
         if found is None:
             raise _refused("reading-takes-too-long", f"reading it takes more than {self._limits.seconds:g} s")
         if "problem" in found:
@@ -88,6 +101,42 @@ class Parsers:
             raise RuntimeError("a reader failed")
         return Parsed(found["name"], found["description"])
 
+    def _given(self, work: bytes) -> _Reader:
+        """A process that has been told what to read: the one that waits, if there is one."""
+        with self._lock:
+            waiting, self._next = self._next, None
+        if waiting is not None:
+            try:
+                waiting.connection.send_bytes(work)
+                return waiting
+            except ConnectionError:
+                _log.warning("a reader that waited for an upload has been ended by somebody else")
+                waiting.end()
+        fresh = self._started()
+        fresh.connection.send_bytes(work)
+        return fresh
+
+    def _started(self) -> _Reader:
+        ours, theirs = cast("tuple[Connection, Connection]", self._context.Pipe())
+        process = self._context.Process(target=_read, args=(theirs, self._limits), daemon=True)
+        process.start()
+        theirs.close()
+        return _Reader(process, ours)
+
+    def _change(self, used: _Reader) -> None:
+        """End a process that has read, and have the next one wait."""
+        used.end()
+        with self._lock:
+            if self._next is None and not self._closed:
+                self._next = self._started()
+
+    def close(self) -> None:
+        """End the process that waits; none will from now on."""
+        with self._lock:
+            waiting, self._next, self._closed = self._next, None, True
+        if waiting is not None:
+            waiting.end()
+
 
 def _refused(code: str, detail: str) -> Problem:
     return Problem.invalid(
@@ -96,11 +145,15 @@ def _refused(code: str, detail: str) -> Problem:
     )  # fmt: skip
 
 
-def _read(sender: Connection, path: str, options: dict[str, Any], sha256: str, limits: Limits) -> None:
-    """The process: read, and say what came of it."""
+def _read(connection: Connection, limits: Limits) -> None:
+    """The process: wait for an upload, read it, and say what came of it."""
     _limit(limits)
     try:
-        found = _described(Path(path), options, sha256, limits)
+        work = orjson.loads(connection.recv_bytes())
+    except EOFError:  # There is no server any more.
+        return
+    try:
+        found = _described(Path(work["path"]), work["options"], work["sha256"], limits)
     except FitterError as error:
         found = {"problem": of_fitter_error(error)}
     except MemoryError:
@@ -113,7 +166,7 @@ def _read(sender: Connection, path: str, options: dict[str, Any], sha256: str, l
         )  # fmt: skip
         found = {"memory": limits.bytes} if memory else {"bug": traceback.format_exc()}
     with contextlib.suppress(BrokenPipeError):
-        sender.send_bytes(orjson.dumps(found, option=orjson.OPT_SERIALIZE_NUMPY))
+        connection.send_bytes(orjson.dumps(found, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
 def _described(path: Path, options: dict[str, Any], sha256: str, limits: Limits) -> dict[str, Any]:

@@ -102,6 +102,7 @@ class Service:
         self.stopping.set()
         if not self._runner.stop(self.settings.grace_seconds):
             _log.warning("a job did not stop in time; the next start takes it up again")
+        self.parsers.close()
         self.store.close()
         if self._lock is not None:
             self._lock.close()

@@ -23,6 +23,9 @@ Treatment: TypeAlias = Literal["mask", "keep"]
 #: Reasons for a mask that can't be found out from the table itself.
 MARKED, FILL = "marked unusable by its source", "fill value"
 
+#: Rows that are looked at together: the tests are so quick that threads with fewer wait for each other.
+_ROWS = 1 << 16
+
 #: A direction whose z is smaller than this lies *on* the horizon: rounding must not decide its side.
 HORIZON = 1e-9
 
@@ -40,13 +43,13 @@ def reasons(
     if table.fills is not None:
         found[FILL] = table.fills
     finite, not_negative = _every(table.value, np.isfinite, _not_negative)
-    found["missing or not finite"] = ~finite
+    found["missing or not finite"] = _not(finite)
     if negatives == "mask":
-        found["negative"] = ~not_negative
+        found["negative"] = _not(not_negative)
     if table.sigma is not None:
         found["sigma missing or not positive"] = ~_every(table.sigma, _positive)[0]
     if table.grid is not None:
-        found["below the horizon"] = ~_above_horizon(table.grid)
+        found["below the horizon"] = _not(_above_horizon(table.grid))
         return found
     known = [_every(w, np.isfinite)[0] for w in (table.wi, table.wo)]
     found["direction not finite"] = ~(known[0] & known[1])
@@ -88,8 +91,13 @@ def _every(values: FloatArray, *tests: Callable[[FloatArray], BoolArray]) -> tup
             for test, flags in zip(tests, found, strict=True):
                 flags[rows] &= test(part)
 
-    in_parts(check, len(values))
+    in_parts(check, len(values), _ROWS)
     return found
+
+
+def _not(flags: BoolArray) -> BoolArray:
+    """The flags turned round, in place: memory that is touched for the first time costs more than that."""
+    return np.logical_not(flags, out=flags)
 
 
 def _not_negative(value: FloatArray) -> BoolArray:

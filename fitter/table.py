@@ -102,10 +102,11 @@ class Table:
         self.mask: BoolArray = np.ones(n, bool)
         counts = dict(self.metadata.masked)
         for reason, bad in found.items():
-            fresh = int(np.count_nonzero(bad & self.mask))
+            before = np.count_nonzero(self.mask)
+            np.greater(self.mask, bad, out=self.mask)  # and not bad, in place
+            fresh = int(before - np.count_nonzero(self.mask))
             if fresh:
                 counts[reason] = counts.get(reason, 0) + fresh
-            self.mask &= ~bad
         self.metadata = self.metadata.but(masked=counts)
         if not self.mask.any():
             raise self._error(

@@ -119,6 +119,8 @@ def _keep(here: Mine, incoming: Incoming, options: ReadOptions) -> TableRow:
     with here.service.store.guarding():
         here.service.blobs.keep(incoming, sha256)
         here.service.store.add(row)
+    # Here and not by the event loop: bytes that were there before are still to be deleted.
+    incoming.discard()
     return row
 
 

@@ -10,6 +10,7 @@ import struct
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -146,19 +147,51 @@ def test_a_reader_that_crashes_or_hangs_is_the_file_s_end(
 ) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(small_table())
-    parsers = parsing.Parsers(1, Limits(1 << 30, 2, 10**6, 10))
+    limits = Limits(1 << 30, 2, 10**6, 10)
     for what, code in ((bad_readers.crashes, "reading-fails"), (bad_readers.hangs, "reading-takes-too-long")):
         with monkeypatch.context() as patched:
             patched.setattr(parsing, "_read", what)
-            with pytest.raises(parsing.Problem) as ended:
+            with closing(parsing.Parsers(1, limits)) as parsers, pytest.raises(parsing.Problem) as ended:
                 parsers.parse(path, {}, "0" * 64)
         assert (ended.value.status_code, ended.value.code) == (422, code)
     with monkeypatch.context() as patched:
         patched.setattr(parsing, "_read", bad_readers.fails)
-        with pytest.raises(RuntimeError):
+        with closing(parsing.Parsers(1, limits)) as parsers, pytest.raises(RuntimeError):
             parsers.parse(path, {}, "0" * 64)
-    assert parsers.parse(path, {}, "0" * 64).name
+    with closing(parsing.Parsers(1, limits)) as parsers:
+        assert parsers.parse(path, {}, "0" * 64).name
     assert not [p for p in psutil.Process().children(recursive=True) if p.status() == psutil.STATUS_ZOMBIE]
+
+
+def test_each_upload_has_a_reader_of_its_own_and_the_next_one_waits(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(small_table())
+
+    def waiting() -> psutil.Process | None:
+        """The process that waits, once there is one."""
+        for _ in range(600):
+            with parsers._lock:
+                if parsers._next is not None:
+                    return psutil.Process(parsers._next.process.pid)
+            time.sleep(0.05)
+        return None
+
+    with closing(parsing.Parsers(1, Limits(1 << 30, 60, 10**6, 10))) as parsers:
+        seen: list[psutil.Process] = []
+        for _ in range(3):
+            assert parsers.parse(path, {}, "0" * 64).name
+            found = waiting()
+            assert found is not None
+            assert found not in seen
+            assert not [one for one in seen if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+            seen.append(found)
+        # Somebody else ends it: no fault of the next upload's.
+        seen[-1].kill()
+        seen[-1].wait(10)
+        assert parsers.parse(path, {}, "0" * 64).name
+        last = waiting()
+    assert last is not None
+    assert not last.is_running() or last.status() == psutil.STATUS_ZOMBIE
 
 
 def _sent(address: str, head: str, body: bytes) -> Iterator[int]:
