@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -16,6 +16,7 @@ from api.outages import DATABASE, outage
 from api.problems import Problem, document, internal, of_fitter_error
 from api.queue import Queue
 from api.rows import JobRow
+from api.states import CANCELLED, QUEUED
 from api.work import Outcome, Worker
 from fitter.errors import FitterError
 from fitter.progress import Cancelled
@@ -34,6 +35,7 @@ RETRY_AFTER = (0.2, 0.5, 1.0, 2.0, 2.0, 2.0, 4.0, 4.0, 8.0, 8.0, 16.0)
 #: Attempts of a job that may meet a database that does not answer.
 OUTAGES = 3
 
+_T = TypeVar("_T")
 #: How it went: a final state of the row, "queued" where it was put back, "overtaken" where it is not ours.
 Ended = Literal["done", "failed", "cancelled", "queued", "overtaken"]
 
@@ -65,8 +67,10 @@ class Attempt:
             # What the work reads was not to be had for a while: that says nothing of the job.
             _log.warning("job %s is given back: the database did not answer", job.id, exc_info=True)
             problem = outage(error) or internal()
-            ours = self._persist(lambda: self._store.give_back(job, OUTAGES, problem))
-            return "queued" if ours else "overtaken"
+            state = self._persist(lambda: self._store.give_back(job, OUTAGES, problem))
+            if state == QUEUED:
+                return "queued"
+            return self._ended("cancelled" if state == CANCELLED else "failed", state is not None)
         except Exception as error:
             _log.exception("job %s failed", job.id)
             outcome = Outcome(problem=outage(error) or internal())
@@ -90,7 +94,7 @@ class Attempt:
         self._worker.forget(self._job)
         return state
 
-    def _persist(self, write: Callable[[], bool]) -> bool:
+    def _persist(self, write: Callable[[], _T]) -> _T:
         """Write to the row, again and again while the database does not take it."""
         for wait in RETRY_AFTER:
             try:

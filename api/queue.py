@@ -148,16 +148,18 @@ class Queue(Sessions):
                 _queue_again(session, row)
             return row is not None
 
-    def give_back(self, job: JobRow, max_losses: int, problem: dict[str, Any]) -> bool:
-        """The attempt was lost with its worker: the next one, or the end (``problem``).
+    def give_back(self, job: JobRow, max_losses: int, problem: dict[str, Any]) -> str | None:
+        """The attempt was lost with its worker: the next one, or the end (``problem``). The job's state then;
+        None where it is not ours any more.
 
         Nothing is held against a job at which the worker was not yet: it stood in line for it.
         """
         with self.writing() as session:
             row = _mine(session, job)
-            if row is not None:
-                _lost(session, row, max_losses, problem, blame=row.worker is not None)
-            return row is not None
+            if row is None:
+                return None
+            _lost(session, row, max_losses, problem, blame=row.worker is not None)
+            return row.state
 
     def recover(self, max_losses: int, problem: dict[str, Any], *, everything: bool = False) -> int:
         """Jobs whose lease has lapsed wait again, or are given up. Returns how many wait again.

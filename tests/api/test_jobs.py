@@ -73,8 +73,10 @@ def run(store: Store, work: Callable[[Progress], Outcome], threads: int = 1) -> 
     return started(store, StandIn(work), threads)
 
 
-def started(store: Store, worker: StandIn, threads: int = 1) -> Runner:
-    runner = Runner(store, InProcess(store, worker), Metrics(), threads)  # type: ignore[arg-type]
+def started(
+    store: Store, worker: StandIn, threads: int = 1, metrics: Metrics | None = None
+) -> Runner:  # fmt: skip
+    runner = Runner(store, InProcess(store, worker), metrics or Metrics(), threads)  # type: ignore[arg-type]
     runner.start()
     return runner
 
@@ -108,9 +110,11 @@ def test_a_database_that_is_away_is_not_held_against_a_job(store: Store, kept: s
         raise OperationalError("select", {}, Exception("connection refused"))
 
     other = queued(store, kept)
-    runner = run(store, never)
+    metrics = Metrics()
+    runner = started(store, StandIn(never), metrics=metrics)
     until(lambda: state(store, other) in (DONE, FAILED))
     runner.stop(5)
+    assert b'brdf_job_runs_total{kind="fit",state="failed"} 1.0' in metrics.text({})
     row = store.get(JobRow, other.id)
     assert row is not None
     assert row.problem is not None
