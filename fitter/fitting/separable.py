@@ -88,7 +88,11 @@ def values(layout: Layout, u: Array, inner: Array, pair: Array) -> Array:
 @functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
-    b = layout.coefficients(u, inner(layout, u, pair, y, weight))
+    return _residuals(layout, u, inner(layout, u, pair, y, weight), pair, y, weight)
+
+
+def _residuals(layout: Layout, u: Array, inner: Array, pair: Array, y: Array, weight: Array) -> Array:
+    b = layout.coefficients(u, inner)
     return weight * (model(layout, layout.terms(u, pair), b).T - y)
 
 
@@ -145,14 +149,15 @@ def _solve_some(
         def inside(z: Array) -> Array:
             return jnp.where(moving, low + (high - low) * jax.nn.sigmoid(z), u0)
 
-        def scaled(z: Array, args: None) -> Array:
+        def scaled(z: Array, args: None) -> tuple[Array, tuple[Array, Array, Array]]:
             del args
-            return residuals(layout, inside(z), pair, y, weight).reshape(-1) / total
+            u = inside(z)
+            b = inner(layout, u, pair, y, weight)
+            r = _residuals(layout, u, b, pair, y, weight).reshape(-1)
+            # What is wanted of the end comes along: computed after it, it would be compiled once more.
+            return r / total, (u, jnp.sum(jnp.square(r)), b)
 
-        found = optx.least_squares(scaled, solver, z0, max_steps=steps, throw=False)
-        u = inside(found.value)
-        objective = jnp.sum(jnp.square(scaled(found.value, None))) * total * total
-        return u, objective, inner(layout, u, pair, y, weight)
+        return optx.least_squares(scaled, solver, z0, has_aux=True, max_steps=steps, throw=False).aux
 
     def step(k: Array, ends: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         u, objective, b = one(starts[k])
