@@ -113,7 +113,8 @@ class Parsers:
                 _log.warning("a reader that waited for an upload has been ended by somebody else")
                 waiting.end()
         fresh = self._started()
-        fresh.connection.send_bytes(work)
+        with contextlib.suppress(ConnectionError):  # It has died: no answer will come, which says so.
+            fresh.connection.send_bytes(work)
         return fresh
 
     def _started(self) -> _Reader:
@@ -128,7 +129,10 @@ class Parsers:
         used.end()
         with self._lock:
             if self._next is None and not self._closed:
-                self._next = self._started()
+                try:
+                    self._next = self._started()
+                except OSError:
+                    _log.warning("no reader waits: the next upload starts its own", exc_info=True)
 
     def close(self) -> None:
         """End the process that waits; none will from now on."""
