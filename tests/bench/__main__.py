@@ -15,7 +15,7 @@ from fitter.documents import read_document, write_bytes
 from tests.bench import page
 from tests.bench.measuring import Row, Size, load_average
 
-KIND = "brdf-fitter/bench"
+KIND, VERSION = "brdf-fitter/bench", 2
 GROUPS = {
     "load": "loading", "evaluate": "evaluation", "fit": "fits", "posterior": "posteriors",
     "sampler": "samplers", "compression": "compressions", "report": "reports", "budget": "budgets",
@@ -30,7 +30,7 @@ class Group(Protocol):
 
 
 def measure(names: Sequence[str], size: Size) -> dict[str, Any]:
-    """The document of the groups ``names``; each row is told on standard error as it is done."""
+    """The document of one run of the groups ``names``; each row is told on standard error as it is done."""
     from importlib import import_module
 
     from tests.bench import machine
@@ -42,9 +42,7 @@ def measure(names: Sequence[str], size: Size) -> dict[str, Any]:
         for row in group.run(size):
             rows.append({"group": name, **row.to_dict(), "load_average": load_average()})
             print("\n".join(page.table(rows[-1:])[2:]), file=sys.stderr, flush=True)
-    return {
-        "kind": KIND,
-        "version": 1,
+    run = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "quick": size.quick,
         "seconds": time.perf_counter() - began,
@@ -52,6 +50,16 @@ def measure(names: Sequence[str], size: Size) -> dict[str, Any]:
         **machine.describe(),
         "rows": rows,
     }
+    return {"kind": KIND, "version": VERSION, "runs": [run]}
+
+
+def merged(before: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any]:
+    """``document`` with those groups of an earlier one that were not measured again, each with its run."""
+    again = {row["group"] for run in document["runs"] for row in run["rows"]}
+    kept = [
+        {**run, "rows": [row for row in run["rows"] if row["group"] not in again]} for run in before["runs"]
+    ]
+    return {**document, "runs": [run for run in (*kept, *document["runs"]) if run["rows"]]}
 
 
 def write(document: Mapping[str, Any], out: Path | None) -> None:
@@ -67,7 +75,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small cases: that it works, no more")
     parser.add_argument("--only", action="append", choices=GROUPS, metavar="NAME", help=", ".join(GROUPS))
-    parser.add_argument("--out", type=Path, metavar="FILE", help="where the document goes (default: stdout)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE",
+        help="where the document goes (default: stdout); groups of one there that --only leaves out stay",
+    )  # fmt: skip
     parser.add_argument(
         "--markdown", type=Path, metavar="DOCUMENT",
         help="measure nothing: print a document's table, or put it into the page --out between its marks",
@@ -80,7 +91,14 @@ def main(words: Sequence[str] | None = None) -> int:
         else:
             write_bytes(page.insert(given.out.read_text(), document).encode(), given.out)
         return 0
+    before = None
+    if given.out is not None and given.out.exists():
+        before = read_document(given.out, "not-a-bench")
+        if (before.get("kind"), before.get("version")) != (KIND, VERSION):
+            parser.error(f"{given.out} is no document of benchmarks, version {VERSION}: name another file")
     document = measure(given.only or list(GROUPS), Size(given.quick))
+    if before is not None:
+        document = merged(before, document)
     print("\n".join(["", *page.lines(document)]), file=sys.stderr)
     write(document, given.out)
     return 0

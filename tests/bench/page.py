@@ -9,20 +9,24 @@ BEGIN, END = "<!-- begin: python -m tests.bench --markdown -->", "<!-- end -->"
 
 
 def lines(document: Mapping[str, Any]) -> list[str]:
-    """Where, when and with what, then the table in Markdown."""
-    machine, versions, load = document["machine"], document["versions"], document["load_average"]
+    """Of each run where, when and with what, then its table in Markdown."""
+    return "\n\n".join("\n".join(_of_run(run)) for run in document["runs"]).split("\n")
+
+
+def _of_run(run: Mapping[str, Any]) -> list[str]:
+    machine, versions, load = run["machine"], run["versions"], run["load_average"]
     loads = "unknown" if load[0] is None else f"{load[0]:.1f} at the start, {load[1]:.1f} at the end"
-    commit = str(document["commit"] or "unknown")[:12]
-    changed = ", with uncommitted changes" if document["uncommitted_changes"] else ""
+    commit = str(run["commit"] or "unknown")[:12]
+    changed = ", with uncommitted changes" if run["uncommitted_changes"] else ""
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     return [
-        f"Measured {document['created'][:10]} on {machine['cpu']}, {machine['cores']} cores, "
+        f"Measured {run['created'][:10]} on {machine['cpu']}, {machine['cores']} cores, "
         f"{machine['memory_gb']} GB, {machine['system']}; load average {loads}; "
-        f"{document['seconds']:.0f} s in all{', quick sizes' if document['quick'] else ''}.",
+        f"{run['seconds']:.0f} s in all{', quick sizes' if run['quick'] else ''}.",
         "",
         f"Commit {commit}{changed}. {listed}.",
         "",
-        *table(document["rows"]),
+        *table(run["rows"]),
     ]
 
 
