@@ -88,12 +88,7 @@ def values(layout: Layout, u: Array, inner: Array, pair: Array) -> Array:
 @functools.partial(jax.jit, static_argnames="layout")
 def residuals(layout: Layout, u: Array, pair: Array, y: Array, weight: Array) -> Array:
     """(n, C) weighted residuals with the best coefficients at u put in."""
-    return _residuals(layout, u, inner(layout, u, pair, y, weight), pair, y, weight)
-
-
-def _residuals(layout: Layout, u: Array, inner: Array, pair: Array, y: Array, weight: Array) -> Array:
-    b = layout.coefficients(u, inner)
-    return weight * (model(layout, layout.terms(u, pair), b).T - y)
+    return weight * (values(layout, u, inner(layout, u, pair, y, weight), pair) - y)
 
 
 @kept("layout")
@@ -153,11 +148,13 @@ def _solve_some(
             del args
             u = inside(z)
             b = inner(layout, u, pair, y, weight)
-            r = _residuals(layout, u, b, pair, y, weight).reshape(-1)
+            r = (weight * (values(layout, u, b, pair) - y)).reshape(-1)
             # What is wanted of the end comes along: computed after it, it would be compiled once more.
             return r / total, (u, jnp.sum(jnp.square(r)), b)
 
-        return optx.least_squares(scaled, solver, z0, has_aux=True, max_steps=steps, throw=False).aux
+        found = optx.least_squares(scaled, solver, z0, has_aux=True, max_steps=steps, throw=False)
+        # That of the end: the solution's own aux is of the accepted step before it.
+        return found.state.aux
 
     def step(k: Array, ends: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         u, objective, b = one(starts[k])

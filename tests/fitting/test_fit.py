@@ -128,6 +128,23 @@ def test_reduced_gradient_is_the_finite_difference():
     assert float(jax.grad(objective)(u)[0]) == pytest.approx(float(numeric), rel=1e-5)
 
 
+def test_local_solves_end_where_they_say():
+    """After each step: no solve may end at the point before its last."""
+    model = models.create("torrance_sparrow", **TRUTHS["torrance_sparrow"])
+    table = scattered(model, seed=5, n=300)
+    places = layout(FitSpec(model=ModelSpec.parse("torrance_sparrow")))
+    pair, value = jnp.concatenate([table.wi.T, table.wo.T]), jnp.asarray(table.value)
+    weight, start = jnp.ones_like(value), np.array([[-1.2]])
+    ends = [separable.solve_many(places, start, pair, value, weight, steps=steps) for steps in (1, 2, 60)]
+    assert float(ends[0][0][0, 0]) == pytest.approx(-1.2)
+    assert float(ends[1][1][0]) < 0.999 * float(ends[0][1][0])
+    for u, objective, inner in ends:
+        r = separable.residuals(places, u[0], pair, value, weight)
+        assert float(objective[0]) == pytest.approx(float(jnp.sum(r * r)), rel=1e-9)
+        expected = separable.inner(places, u[0], pair, value, weight)
+        np.testing.assert_allclose(inner[0], expected, rtol=1e-9, atol=1e-12)
+
+
 def test_fixed_and_bounds_are_kept():
     model = models.create("ward", **TRUTHS["ward"])
     table = scattered(model, seed=6)
