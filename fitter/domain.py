@@ -82,45 +82,40 @@ def domain(table: Table) -> Domain:
 
 
 def _of_half_difference(table: Table, grid: Grid) -> Domain:
-    """The same of an isotropic table in half and difference angles, of which it needs cosines only:
-    z is cos_h cos_d -+ sin_h sin_d cos(phi_d), and n . (wi x wo) is 2 sin_h cos_d sin_d sin(phi_d)."""
-    sin_h, sin_d, sin_p = (np.sin(axis) for axis in grid.axes.values())
-    cos_h, cos_d, cos_p = (np.cos(axis) for axis in grid.axes.values())
+    """The same of an isotropic table in half and difference angles, theta_h by theta_h, from cosines: in less
+    than half the time."""
+    theta_h, theta_d, phi_d = grid.axes.values()
+    width = len(theta_d) * len(phi_d)
     seen = np.zeros(int(np.pi * PER_RADIAN) + 2, bool)
-    width = len(sin_d) * len(sin_p)
-    used = table.mask.reshape(len(sin_h), width)
-    across = np.abs(2.0 * (cos_d * sin_d)[:, None] * sin_p).reshape(width)
-    #: Cells with the steepest and the flattest wi and wo, of each theta_h; the largest triple product.
-    cells = np.zeros((len(sin_h), 4), np.intp)
-    out_of_plane = np.zeros(len(sin_h))
+    # Cells of each theta_h: steepest and flattest wi, steepest and flattest wo. Where one is out of plane.
+    ends: list[NDArray[np.intp]] = []
+    outside: list[int] = []
 
     def look(part: slice) -> None:
-        k = part.start // width
-        here = used[k]
-        if not here.any():
-            cells[k] = -1
+        which = np.flatnonzero(table.mask[part])
+        if not len(which):
             return
-        up, down = cos_h[k] * cos_d[:, None], (sin_h[k] * sin_d)[:, None] * cos_p
-        which = np.flatnonzero(here)
-        z_i, z_o = (z.reshape(width)[which] for z in (up - down, up + down))
-        steepest = z_i.argmax(), z_i.argmin(), z_o.argmax(), z_o.argmin()
-        cells[k] = part.start + which[list(steepest)]
-        theta_i = np.arccos(np.clip(z_i, -1.0, 1.0))
-        seen[np.rint(theta_i * PER_RADIAN).astype(np.int64)] = True
-        out_of_plane[k] = np.abs(sin_h[k]) * across[which].max()
+        found = directions.half_difference_components(theta_h[part.start // width], theta_d[:, None], phi_d)
+        xi, yi, zi, xo, yo, zo = (component.reshape(width) for component in found)
+        z_i, z_o = zi[which], zo[which]
+        ends.append(part.start + which[[z_i.argmax(), z_i.argmin(), z_o.argmax(), z_o.argmin()]])
+        seen[np.rint(np.arccos(np.clip(z_i, -1.0, 1.0)) * PER_RADIAN).astype(np.int64)] = True
+        # Once is enough.
+        if not outside and np.abs(xi * yo - yi * xo)[which].max() >= FLAT:
+            outside.append(part.start)
 
     in_parts(look, len(table), width)
     # The angles themselves from vectors: a cosine near 1 has lost half their digits. Which cell is nearest to
     # the normal is known to 2e-8 rad.
-    chosen = cells[cells[:, 0] >= 0].T
-    (steep_i, flat_i, steep_o, flat_o) = (
-        directions.spherical_from_vector(table.directions(cells)[k >= 2])[0] for k, cells in enumerate(chosen)
+    steep_i, flat_i, steep_o, flat_o = (
+        directions.spherical_from_vector(table.directions(cells)[k >= 2])[0]
+        for k, cells in enumerate(np.array(ends).T)
     )
     return Domain(
         theta_i=(float(steep_i.min()), float(flat_i.max())),
         theta_o=(float(steep_o.min()), float(flat_o.max())),
         incidences=int(np.count_nonzero(seen)),
-        in_plane=bool(out_of_plane.max() < FLAT),
+        in_plane=not outside,
     )
 
 

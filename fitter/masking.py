@@ -47,7 +47,7 @@ def reasons(
     if negatives == "mask":
         found["negative"] = _not(not_negative)
     if table.sigma is not None:
-        found["sigma missing or not positive"] = ~_every(table.sigma, _positive)[0]
+        found["sigma missing or not positive"] = _not(_every(table.sigma, _positive)[0])
     if table.grid is not None:
         found["below the horizon"] = _not(_above_horizon(table.grid))
         return found

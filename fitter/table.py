@@ -101,12 +101,13 @@ class Table:
         found = reasons(self, marked, negatives, duplicates)
         self.mask: BoolArray = np.ones(n, bool)
         counts = dict(self.metadata.masked)
+        usable = n
         for reason, bad in found.items():
-            before = np.count_nonzero(self.mask)
             np.greater(self.mask, bad, out=self.mask)  # and not bad, in place
-            fresh = int(before - np.count_nonzero(self.mask))
-            if fresh:
-                counts[reason] = counts.get(reason, 0) + fresh
+            left = int(np.count_nonzero(self.mask))
+            if left < usable:
+                counts[reason] = counts.get(reason, 0) + usable - left
+            usable = left
         self.metadata = self.metadata.but(masked=counts)
         if not self.mask.any():
             raise self._error(

@@ -91,14 +91,12 @@ def main(words: Sequence[str] | None = None) -> int:
         else:
             write_bytes(page.insert(given.out.read_text(), document).encode(), given.out)
         return 0
-    before = None
+    before: Mapping[str, Any] = {"runs": []}
     if given.out is not None and given.out.exists():
         before = read_document(given.out, "not-a-bench")
         if (before.get("kind"), before.get("version")) != (KIND, VERSION):
             parser.error(f"{given.out} is no document of benchmarks, version {VERSION}: name another file")
-    document = measure(given.only or list(GROUPS), Size(given.quick))
-    if before is not None:
-        document = merged(before, document)
+    document = merged(before, measure(given.only or list(GROUPS), Size(given.quick)))
     print("\n".join(["", *page.lines(document)]), file=sys.stderr)
     write(document, given.out)
     return 0

@@ -10,7 +10,10 @@ BEGIN, END = "<!-- begin: python -m tests.bench --markdown -->", "<!-- end -->"
 
 def lines(document: Mapping[str, Any]) -> list[str]:
     """Of each run where, when and with what, then its table in Markdown."""
-    return "\n\n".join("\n".join(_of_run(run)) for run in document["runs"]).split("\n")
+    found: list[str] = []
+    for run in document["runs"]:
+        found += ["", *_of_run(run)]
+    return found[1:]
 
 
 def _of_run(run: Mapping[str, Any]) -> list[str]:
