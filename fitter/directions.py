@@ -7,6 +7,8 @@ Functions broadcast over leading axes; a vector array has shape (..., 3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -15,7 +17,7 @@ from fitter.parts import in_parts
 
 Vectors = Float[np.ndarray, "*n 3"]
 Angles = Float[np.ndarray, "*n"]
-#: Components whose shapes broadcast.
+#: Components: angles of shapes that broadcast have one of the common shape each.
 Parts = Float[np.ndarray, "..."]
 
 
@@ -82,29 +84,41 @@ def vectors_from_half_difference(
     ``wo`` its mirror image in the half vector.
     """
     parts = half_difference_components(theta_h, theta_d, phi_d, phi_h)
-    wide = np.broadcast_arrays(*parts)
-    return np.stack(wide[:3], axis=-1), np.stack(wide[3:], axis=-1)
+    return np.stack(parts[:3], axis=-1), np.stack(parts[3:], axis=-1)
 
 
 def half_difference_components(
-    theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0
-) -> tuple[Parts, ...]:
-    """The six components of :func:`vectors_from_half_difference`, each of a shape that broadcasts to the
-    angles': sines and cosines are those of the angles as given."""
+    theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0,
+    out: Sequence[Parts] | None = None,
+) -> tuple[Parts, ...]:  # fmt: skip
+    """The six components of :func:`vectors_from_half_difference`, each of the angles' common shape: sines and
+    cosines are those of the angles as given.
+
+    out : six arrays of that shape to write them into.
+    """
     theta_h, theta_d, phi_d, phi_h = (np.asarray(a, np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
     sin_h, cos_h = np.sin(theta_h), np.cos(theta_h)
     sin_d, cos_d = np.sin(theta_d), np.cos(theta_d)
-    # Products of the first two angles come first: on a grid they are few.
+    if out is None:
+        shape = np.broadcast_shapes(theta_h.shape, theta_d.shape, phi_d.shape, phi_h.shape)
+        out = [np.empty(shape) for _ in range(6)]
+    xi, yi, zi, xo, yo, zo = out
+    # Products of the first two angles come first: on a grid they are few. Each component is written twice at
+    # most, and nothing beside them: this is half of what making a block of samples takes.
     cos_p = np.cos(phi_d)
-    along, down, across = (cos_h * sin_d) * cos_p, (sin_h * sin_d) * cos_p, sin_d * np.sin(phi_d)
     flat, up = sin_h * cos_d, cos_h * cos_d
-    found = [flat + along, across, up - down, flat - along, -across, up + down]
+    along, down = np.multiply(cos_h * sin_d, cos_p, out=xo), np.multiply(sin_h * sin_d, cos_p, out=zi)
+    np.add(flat, along, out=xi)
+    np.subtract(flat, along, out=xo)
+    np.add(up, down, out=zo)
+    np.subtract(up, down, out=zi)
+    np.multiply(sin_d, np.sin(phi_d), out=yi)
+    np.negative(yi, out=yo)
     if phi_h.ndim or phi_h:
         turn_x, turn_y = np.cos(phi_h), np.sin(phi_h)
-        for k in (0, 3):
-            x, y = found[k], found[k + 1]
-            found[k], found[k + 1] = turn_x * x - turn_y * y, turn_y * x + turn_x * y
-    return tuple(np.asarray(part) for part in found)
+        for x, y in ((xi, yi), (xo, yo)):
+            x[...], y[...] = turn_x * x - turn_y * y, turn_y * x + turn_x * y
+    return xi, yi, zi, xo, yo, zo
 
 
 def half_difference_from_vectors(wi: ArrayLike, wo: ArrayLike) -> tuple[Angles, Angles, Angles, Angles]:

@@ -130,5 +130,6 @@ def _usable_components(table: Table, part: slice) -> FloatArray:
     if table.grid is None:
         return np.hstack([table.wi[part][used], table.wo[part][used]]).T
     found = np.empty((6, len(used)))
-    table.grid.row_components(part.start, part.stop, found)
+    width = table.grid.shape[-1]
+    table.grid.row_components(slice(part.start // width, part.stop // width), found)
     return found if used.all() else found[:, used]

@@ -56,18 +56,22 @@ class Grid:
         where = np.unravel_index(index, self.shape)
         return tuple(axis[i] for axis, i in zip(self.axes.values(), where, strict=True))
 
-    def row_components(self, start: int, stop: int, out: FloatArray) -> None:
-        """The components of wi and wo of the cells start..stop, whole rows of the last axis, into ``out``
-        (6, stop - start)."""
+    @property
+    def rows(self) -> int:
+        """How many rows of the last axis there are."""
+        return self.size // self.shape[-1]
+
+    def row_components(self, rows: slice | NDArray[np.intp], out: FloatArray) -> None:
+        """The components of wi and wo of the cells of whole rows of the last axis into ``out`` (6, cells)."""
         *outer, last = self.axes.values()
         width = len(last)
-        if start % width or stop % width:
-            raise ValueError(f"cells {start} to {stop} are not whole rows of {width}")
-        where = np.unravel_index(np.arange(start // width, stop // width), self.shape[:-1])
+        where = np.unravel_index(np.arange(self.rows)[rows], self.shape[:-1])
         c = [*(axis[i][:, None] for axis, i in zip(outer, where, strict=True)), last[None, :]]
         if self.system == "half_difference":
-            parts = directions.half_difference_components(c[0], c[1], c[2])
-        elif self.system == "spherical_isotropic":
+            by_row = [component.reshape(-1, width) for component in out]
+            directions.half_difference_components(c[0], c[1], c[2], out=by_row)
+            return
+        if self.system == "spherical_isotropic":
             parts = (
                 *directions.spherical_components(c[0], 0.0), *directions.spherical_components(c[1], c[2])
             )  # fmt: skip

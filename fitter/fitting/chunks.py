@@ -47,6 +47,14 @@ def residual(metric: Metric, f: Array, y: Array, w: Array, floor: Array) -> tupl
     return value, slope
 
 
+def squared_errors(f: Array, y: Array, w: Array, floor: Array) -> Array:
+    """(2,) sums of the squares of values' errors f - y, (C, n), and of those relative to |y| + 1 % of the
+    typical value; of no error where the weight is 0."""
+    plain = jnp.where(w != 0, f - y, 0.0)
+    relative = plain / (jnp.abs(y) + 10.0 * floor[:, None])
+    return jnp.stack([jnp.vdot(a, a) for a in rows.settled(plain, relative)])
+
+
 def with_slopes(layout: Layout, u: Array, pair: Array) -> tuple[Array, Array]:
     """Terms (K, n) at pairs (6, n) and their derivatives (T, K, n) by u (T,), by linearising once: pushing
     every direction through the whole program takes twice as long."""

@@ -8,15 +8,10 @@ The Numerical Treatment of a Single Nonlinear Equation, p. 169) make that 1e-17:
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import NDArray
-
-_T = TypeVar("_T", Array, NDArray[np.float64])
 
 #: The high word of x^(-1/3) is about this less a third of that of x: 4/3 of the exponents' bias, lowered
 #: until the largest error over a period of the mantissa is least.
@@ -44,23 +39,6 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
     return r, -jnp.square(jnp.square(r)) / 3.0 * along
 
 
-def of_positive(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """x^(1/3) of an array x >= 0, for NumPy; 0 where x is.
-
-    Of numbers below 1e-300, and of negative ones, something below 1e-90 in size: those are cosines of what is
-    not used.
-    """
-    high = np.ascontiguousarray(x).view(np.uint64) >> np.uint64(32)
-    high *= np.uint64(THIRD)
-    high >>= np.uint64(32)
-    np.subtract(np.uint64(BIAS), high, out=high)
-    high <<= np.uint64(32)
-    r = high.view(np.float64)
-    for _ in range(STEPS):
-        r *= _correction(1.0 - x * r * r * r)
-    return x * r * r
-
-
-def _correction(e: _T) -> _T:
+def _correction(e: Array) -> Array:
     """(1 - e)^(-1/3) to fourth order."""
     return 1.0 + e * (1 / 3 + e * (2 / 9 + e * (14 / 81)))

@@ -24,7 +24,6 @@ from fitter.grid import Grid
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 HALF_PI = 0.5 * np.pi
 #: Directions whose components agree to this are one incidence.
 SAME = 1e-4
@@ -36,20 +35,23 @@ IN_PLANE = 1e-3
 NEIGHBOURS = 4
 
 
-def measures(table: Table, index: IntArray) -> FloatArray:
-    """(n,) the measures of the samples ``index``, in proportion: their mean is 1.
+def measures(table: Table, used: NDArray[np.bool_]) -> FloatArray:
+    """(N,) the measures of the samples ``used`` (N,), in proportion: their mean is 1. 0 for the others.
 
     Raises SpecError where scattered samples lie in no scans.
     """
     if table.grid is not None:
-        found = _grid(table.grid, index)
+        found = _grid(table.grid)
+        found *= used
     else:
-        wi, wo = table.directions(index)
-        found = _scattered(wi, wo, table.symmetry == "anisotropic")
-    return found / found.mean()
+        wi, wo = table.directions(np.flatnonzero(used))
+        found = np.zeros(len(used))
+        found[used] = _scattered(wi, wo, table.symmetry == "anisotropic")
+    found *= np.count_nonzero(used) / found.sum()
+    return found
 
 
-def _grid(grid: Grid, index: IntArray) -> FloatArray:
+def _grid(grid: Grid) -> FloatArray:
     total = np.ones(())
     for name, axis in grid.axes.items():
         if name.startswith("theta"):
@@ -61,7 +63,7 @@ def _grid(grid: Grid, index: IntArray) -> FloatArray:
         else:
             weight = _azimuths(axis, grid.periodic.get(name))
         total = np.multiply.outer(total, weight)
-    return total.reshape(-1)[index]
+    return total.reshape(-1)
 
 
 def _cells(axis: FloatArray, least: float, most: float) -> tuple[FloatArray, FloatArray]:

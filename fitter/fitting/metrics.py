@@ -43,7 +43,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.errors import SpecError
-from fitter.fitting import cube_root
+from fitter.fitting import aligned, cube_root
 from fitter.spec import Metric, Weighting
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +83,8 @@ def base_weights(
 
     sigma : (C, n) standard uncertainties. measure : (n,) what multiplies the squared residuals, None for 1.
     """
-    factor = np.ones(len(cos_i)) if measure is None else np.sqrt(measure)
+    factor = aligned.empty(cos_i.shape)
+    factor[...] = 1.0 if measure is None else np.sqrt(measure)
     if metric == "measurement":
         if sigma is None:
             raise SpecError(
@@ -91,11 +92,11 @@ def base_weights(
                 code="metric-needs-sigma", parameter="metric",
                 remedy="give sigma with the table, or use cosine, absolute, relative, log or cbrt",
             )  # fmt: skip
-        return factor / sigma
+        return np.divide(factor, sigma, out=aligned.empty(sigma.shape))
     if metric == "cosine":
         factor *= cos_i
     if metric == "cbrt":
-        factor *= cube_root.of_positive(cos_i)
+        factor *= np.cbrt(cos_i)
     return factor[None]
 
 

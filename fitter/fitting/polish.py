@@ -23,6 +23,7 @@ from fitter.fitting.chunks import (
     chunk,
     over_blocks,
     residual,
+    squared_errors,
     values_and_columns,
     with_slopes,
 )
@@ -39,33 +40,41 @@ COARSE = 1e-4
 
 
 class Normal(NamedTuple):
-    """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective."""
+    """Sums over samples: Gauss-Newton matrix (P, P), descent side -gradient/2 (P,), objective, and squared
+    errors, plain and relative, of :func:`fitter.fitting.chunks.squared_errors`: what a pass ends with needs
+    no pass of its own."""
 
     matrix: FloatArray
     rhs: FloatArray
     objective: float
+    squared: float
+    relative: float
 
 
 @kept("layout", "metric")
 def _accumulate(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
-) -> Array:
+) -> tuple[Array, Array]:
     """Sums of products (C, F + M + 1, F + M + 1) of each channel's weighted derivatives and, last, residuals,
-    over the first ``chunks`` chunks of a block: a traced count, so that one program serves all."""
+    over the first ``chunks`` chunks of a block: a traced count, so that one program serves all. And the
+    squared errors (2,)."""
     (m, c), own = inner.shape, len(layout.free)
 
-    def step(index: Array, total: Array) -> Array:
+    def step(index: Array, total: tuple[Array, Array]) -> tuple[Array, Array]:
         pair, y, w = chunk(block, index)
         f, columns = values_and_columns(layout, u, inner, pair)
         value, slope = residual(metric, f, y, w, floor)
         x = columns(slope, value)
-        return total + jnp.einsum("cin,cjn->cij", x, x)
+        return total[0] + jnp.einsum("cin,cjn->cij", x, x), total[1] + squared_errors(f, y, w, floor)
 
-    return jax.lax.fori_loop(0, chunks, step, jnp.zeros((c, own + m + 1, own + m + 1)))
+    size = own + m + 1
+    return jax.lax.fori_loop(0, chunks, step, (jnp.zeros((c, size, size)), jnp.zeros(2)))
 
 
 @kept("layout")
-def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chunks: Array) -> Array:
+def _accumulate_alike(
+    layout: Layout, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
+) -> tuple[Array, Array]:
     """The same where the channels have the same weights and the metric is a weighted square: the derivatives
     of all of them are combinations of the terms and the terms' slopes."""
     (k, c), own = inner.shape, len(layout.free)
@@ -74,20 +83,23 @@ def _accumulate_alike(layout: Layout, u: Array, inner: Array, block: Arrays, chu
     for t in range(own):
         mix = mix.at[:, t, k + t :: own].set(inner.T)
 
-    def step(index: Array, total: Array) -> Array:
+    def step(index: Array, total: tuple[Array, Array]) -> tuple[Array, Array]:
         pair, y, w = chunk(block, index)
         terms, slopes = with_slopes(layout, u, pair)
-        r = separable.model(layout, terms, inner) - y
+        f = separable.model(layout, terms, inner)
         of_k = slopes.swapaxes(0, 1).reshape(k * own, terms.shape[1])
-        x = rows.joined([part * w for part in (terms, of_k, r)])
-        return total + x @ x.T
+        x = rows.joined([part * w for part in (terms, of_k, f - y)])
+        return total[0] + x @ x.T, total[1] + squared_errors(f, y, w, floor)
 
     size = k + k * own
-    total = jax.lax.fori_loop(0, chunks, step, jnp.zeros((size + c, size + c)))
+    total, squared = jax.lax.fori_loop(
+        0, chunks, step, (jnp.zeros((size + c, size + c)), jnp.zeros(2))
+    )
     cross = jnp.einsum("cij,jc->ci", mix, total[:size, size:])
     matrix = jnp.einsum("cij,jk,clk->cil", mix, total[:size, :size], mix)
     last = jnp.concatenate([cross, jnp.diagonal(total[size:, size:])[:, None]], axis=1)
-    return jnp.concatenate([jnp.concatenate([matrix, cross[:, :, None]], axis=2), last[:, None]], axis=1)
+    whole = jnp.concatenate([jnp.concatenate([matrix, cross[:, :, None]], axis=2), last[:, None]], axis=1)
+    return whole, squared
 
 
 def normal_equations(
@@ -98,19 +110,23 @@ def normal_equations(
     u, inner = p[:t], p[t:].reshape(-1, c)
     plain = metric in metrics.QUADRATIC and layout.coefficients_are_free and not layout.mixed
 
-    def one(block: Block) -> FloatArray:
+    def one(block: Block) -> list[FloatArray]:
         chunks = -(-block.count // CHUNK)
         if plain and c > 1 and len(block.weight) == 1:
-            return np.asarray(_accumulate_alike(layout, u, inner, arrays(block), chunks))
-        return np.asarray(_accumulate(layout, metric, u, inner, floor, arrays(block), chunks))
+            found = _accumulate_alike(layout, u, inner, floor, arrays(block), chunks)
+        else:
+            found = _accumulate(layout, metric, u, inner, floor, arrays(block), chunks)
+        return [np.asarray(part) for part in found]
 
-    sums = functools.reduce(np.add, over_blocks(one, blocks))
+    sums, errors = (
+        functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
+    )  # fmt: skip
     size = len(p)
     matrix, rhs = np.zeros((size, size)), np.zeros(size)
     for channel, where in enumerate(layout.positions(size, c)):
         matrix[np.ix_(where, where)] += sums[channel, :-1, :-1]
         rhs[where] -= sums[channel, -1, :-1]
-    return Normal(matrix, rhs, float(sums[:, -1, -1].sum()))
+    return Normal(matrix, rhs, float(sums[:, -1, -1].sum()), *(float(error) for error in errors))
 
 
 #: The end of the passes: the vector p, its sums, how many passes, whether the tolerance was met.

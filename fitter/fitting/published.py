@@ -60,7 +60,7 @@ def published(model: ReflectanceModel, table: Table) -> Published:
     columns = [names.index(name) for name in model.channels]
     index = np.flatnonzero(table.mask)
     try:
-        weight, told = measures(table, index), True
+        weight, told = measures(table, table.mask)[index], True
     except SpecError:
         # Neither a grid nor scans: every sample counts alike, and the result says so.
         weight, told = np.ones(len(index)), False

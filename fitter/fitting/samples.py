@@ -7,7 +7,7 @@ that a fit needs little memory beside the table, whatever its size.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, TypeAlias, overload, runtime_checkable
 
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
-from fitter.fitting import metrics
+from fitter.fitting import aligned, metrics
+from fitter.grid import Grid
 from fitter.spec import Metric, Weighting
 from fitter.summary import Summary
 from fitter.table import Table
@@ -143,20 +144,28 @@ class Usable:
         ``scale`` multiplies the squared residuals of the samples of a weighted subset.
         """
         index = self.index[rows]
-        pair = np.empty((6, size))
+        pair = aligned.empty((6, size))
         pair[:, : len(index)] = self._pair(index)
         pair[:, len(index) :] = pair[:, len(index) - 1 : len(index)]
         return self._block(channels, pair, index, scale=scale)
 
-    def cells(self, channels: Sequence[int], start: int, stop: int, size: int) -> Block:
-        """The cells start..stop of a grid, whole rows of its last axis, as they lie in the table."""
-        assert self.table.grid is not None
-        pair = np.empty((6, size))
-        self.table.grid.row_components(start, stop, pair[:, : stop - start])
-        pair[:, stop - start :] = pair[:, stop - start - 1 : stop - start]
+    def lines(self, channels: Sequence[int], lines: slice | IntArray, size: int) -> Block:
+        """The cells of whole rows of a grid's last axis, as they lie in the table."""
+        grid = self.table.grid
+        assert grid is not None
+        which, width = np.arange(grid.rows)[lines], grid.shape[-1]
+        count = len(which) * width
+        pair = aligned.empty((6, size))
+        grid.row_components(which, pair[:, :count])
+        pair[:, count:] = pair[:, count - 1 : count]
+        cells: slice | IntArray
+        if isinstance(lines, slice):
+            cells = slice(int(which[0]) * width, int(which[0]) * width + count)
+        else:
+            cells = (which[:, None] * width + np.arange(width)).reshape(-1)
         if self.turn:
-            pair = self._turned(pair, np.arange(start, start + size))
-        return self._block(channels, pair, slice(start, stop), self.used[start:stop])
+            pair[:, :count] = self._turned(pair[:, :count], np.arange(grid.size)[cells])
+        return self._block(channels, pair, cells, self.used[cells])
 
     def _block(
         self, channels: Sequence[int], pair: FloatArray, rows: slice | IntArray,
@@ -182,20 +191,24 @@ class Usable:
         """All samples of the channels."""
         return TableBlocks(self, tuple(channels))
 
-    def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, int]:
+    def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, float]:
         """Of a large table an evenly spaced part, and how many samples each of it stands for."""
-        rows, step = self.evenly(ENOUGH)
+        every = TableBlocks(self, tuple(channels))
+        grid, step = self.table.grid, max(1, len(self) // ENOUGH)
         if step == 1:
-            return self.blocks(channels), 1
-        return TableBlocks(self, tuple(channels), rows=rows), step
+            return every, 1
+        if grid is None or not every.by_lines:
+            rows, step = self.evenly(ENOUGH)
+            return replace(every, rows=rows), step
+        # Whole rows of the grid: to make samples one by one takes ten times as long.
+        lines = _spaced(grid.rows, step, grid.shape[-2])
+        return replace(every, lines=lines), grid.rows / len(lines)
 
     def evenly(self, most: int) -> tuple[IntArray, int]:
         """About ``most`` evenly spaced positions at least, and the step between them."""
-        step = max(1, len(self) // most)
-        # A step that divides the length of the grid's rows would meet the same columns again and again.
-        while step > 1 and self.table.grid is not None and np.gcd(step, self.table.grid.shape[-1]) > 1:
-            step -= 1
-        return np.arange(step // 2, len(self), step), step
+        grid = self.table.grid
+        rows = _spaced(len(self), max(1, len(self) // most), 1 if grid is None else grid.shape[-1])
+        return rows, int(rows[1] - rows[0]) if len(rows) > 1 else 1
 
     def fits_in(self, size: int) -> bool:
         """Whether a subset of so many samples is all of them."""
@@ -248,9 +261,18 @@ def systematic(
     return chosen, weight[chosen] * times / (size * p[chosen])
 
 
+def _spaced(count: int, step: int, width: int) -> IntArray:
+    """Evenly spaced places among ``count``: the largest step up to ``step`` that has no divisor in common
+    with the length of a grid's rows, or the same columns would be met again and again."""
+    while np.gcd(step, width) > 1:
+        step -= 1
+    return np.arange(step // 2, count, step)
+
+
 @dataclass(frozen=True)
 class TableBlocks(Sequence[Block]):
-    """All samples, or those at the positions ``rows``, block by block, each made when it is asked for.
+    """All samples block by block, or those at the positions ``rows``, or the rows ``lines`` of the grid's
+    last axis; each block made when it is asked for.
 
     cells : how many cells of a grid a block covers, whole rows of its last axis; None leaves it to the table.
     """
@@ -259,26 +281,35 @@ class TableBlocks(Sequence[Block]):
     channels: tuple[int, ...]
     cells: int | None = None
     rows: IntArray | None = None
+    lines: IntArray | None = None
 
     @property
     def samples(self) -> int:
+        """How many there are, of a grid's ``lines`` what is not usable counted."""
+        if self.lines is not None and self.data.table.grid is not None:
+            return len(self.lines) * self.data.table.grid.shape[-1]
         return len(self.data) if self.rows is None else len(self.rows)
 
     @property
-    def _cells(self) -> int:
-        """Cells a block covers where blocks are made of a grid's rows, else 0: where most of it is used, rows
-        are cheaper than picking samples."""
+    def by_lines(self) -> bool:
+        """Whether blocks are made of a grid's rows: where most of it is used, that is cheaper than picking
+        samples."""
         grid = self.data.table.grid
-        if self.cells is not None:
-            return self.cells
-        sparse = 2 * len(self.data) < len(self.data.used)
-        if grid is None or self.rows is not None or sparse or grid.shape[-1] > BLOCK:
-            return 0
-        return BLOCK // grid.shape[-1] * grid.shape[-1]
+        if grid is None or self.rows is not None:
+            return False
+        return self.cells is not None or (2 * len(self.data) >= grid.size and grid.shape[-1] <= BLOCK)
+
+    def _of(self, grid: Grid) -> tuple[int, int]:
+        """How many rows of the grid there are, and how many make a block."""
+        whole = grid.rows if self.lines is None else len(self.lines)
+        return whole, (self.cells or BLOCK) // grid.shape[-1]
 
     def __len__(self) -> int:
-        cells = self._cells
-        return -(-len(self.data.used) // cells) if cells else -(-self.samples // BLOCK)
+        grid = self.data.table.grid
+        if grid is None or not self.by_lines:
+            return -(-self.samples // BLOCK)
+        whole, each = self._of(grid)
+        return -(-whole // each)
 
     @overload
     def __getitem__(self, index: int) -> Block: ...
@@ -289,10 +320,11 @@ class TableBlocks(Sequence[Block]):
             return [self[k] for k in range(*index.indices(len(self)))]
         if not -len(self) <= index < len(self):
             raise IndexError(index)
-        k, cells = index % len(self), self._cells
-        if cells:
-            stop = min((k + 1) * cells, len(self.data.used))
-            return self.data.cells(self.channels, k * cells, stop, BLOCK)
+        k, grid = index % len(self), self.data.table.grid
+        if grid is not None and self.by_lines:
+            whole, each = self._of(grid)
+            here = slice(k * each, min((k + 1) * each, whole))
+            return self.data.lines(self.channels, here if self.lines is None else self.lines[here], BLOCK)
         here = slice(k * BLOCK, min((k + 1) * BLOCK, self.samples))
         return self.data.part(self.channels, here if self.rows is None else self.rows[here], BLOCK)
 
@@ -309,6 +341,7 @@ def _filled(
     values: FloatArray, used: NDArray[np.bool_] | None, size: int, fill: float
 ) -> FloatArray:
     """(C, size) values (C, m) where they are used, ``fill`` elsewhere and behind them."""
-    found = np.full((len(values), size), fill)
+    found = aligned.empty((len(values), size))
+    found[...] = fill
     np.copyto(found[:, : values.shape[1]], values, where=True if used is None else used)
     return found

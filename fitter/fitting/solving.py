@@ -110,7 +110,12 @@ def solve(
 
     positions = [data.channels[c] for c in group]
     if complete:
-        found = errors(places, metric, floor, end.p, full)
+        # Pseudo-samples know the objective alone.
+        found = (
+            Errors(normal.objective, normal.squared, normal.relative)
+            if reduced is None
+            else errors(places, metric, floor, end.p, full)
+        )
         some, step = data.blocks_of_some(group)
     else:
         found = _stand_in(places, end, part, scale, len(index), floor)

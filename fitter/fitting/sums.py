@@ -23,6 +23,7 @@ from fitter.fitting.chunks import (
     of_entries,
     over_blocks,
     residual,
+    squared_errors,
     values_and_columns,
 )
 from fitter.fitting.layout import Layout
@@ -36,7 +37,8 @@ LEAST = 0.05
 
 
 class Errors(NamedTuple):
-    """Sums over samples at the end of a fit: the objective, plain and relative squared errors."""
+    """Sums over samples at the end of a fit: the objective, and squared errors, plain and relative, of
+    :func:`fitter.fitting.chunks.squared_errors`."""
 
     objective: float
     squared: float
@@ -46,16 +48,13 @@ class Errors(NamedTuple):
 def errors(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks
 ) -> Errors:
-    """The errors of all blocks at the vector p, in a pass without derivatives.
-
-    The relative error of a value is that over |y| + 1 % of the typical one.
-    """
+    """The errors of all blocks at the vector p, in a pass without derivatives."""
     t = len(layout.entries)
     u, inner = p[:t], p[t:].reshape(-1, len(floor))
 
     def one(block: Block) -> FloatArray:
         chunks = -(-block.count // CHUNK)
-        return np.asarray(_errors(layout, metric, u, inner, floor, arrays(block), chunks))
+        return np.hstack(_errors(layout, metric, u, inner, floor, arrays(block), chunks))
 
     return Errors(*(float(total) for total in functools.reduce(np.add, over_blocks(one, blocks))))
 
@@ -63,17 +62,15 @@ def errors(
 @kept("layout", "metric")
 def _errors(
     layout: Layout, metric: Metric, u: Array, inner: Array, floor: Array, block: Arrays, chunks: Array
-) -> Array:
-    def step(index: Array, total: Array) -> Array:
+) -> tuple[Array, Array]:
+    def step(index: Array, total: tuple[Array, Array]) -> tuple[Array, Array]:
         pair, y, w = chunk(block, index)
         (terms,) = rows.settled(layout.terms(u, pair))
         f = separable.model(layout, terms, layout.coefficients(u, inner))
         value, _ = residual(metric, f, y, w, floor)
-        plain = jnp.where(w != 0, f - y, 0.0)
-        relative = plain / (jnp.abs(y) + 10.0 * floor[:, None])
-        return total + jnp.stack([jnp.vdot(a, a) for a in (value, *rows.settled(plain, relative))])
+        return total[0] + jnp.vdot(value, value), total[1] + squared_errors(f, y, w, floor)
 
-    return jax.lax.fori_loop(0, chunks, step, jnp.zeros(3))
+    return jax.lax.fori_loop(0, chunks, step, (jnp.zeros(()), jnp.zeros(2)))
 
 
 class Scores(NamedTuple):
@@ -91,7 +88,7 @@ class Scores(NamedTuple):
 
 def scores(
     layout: Layout, metric: Metric, floor: FloatArray, p: FloatArray, blocks: Blocks, inverse: FloatArray,
-    jacobian: FloatArray, step: int = 1,
+    jacobian: FloatArray, step: float = 1.0,
 ) -> Scores:  # fmt: skip
     """The scores of the blocks' samples at the vector p.
 
@@ -139,7 +136,7 @@ def _of_the_channels_own(layout: Layout, inverse: FloatArray, own: NDArray[np.in
     return found
 
 
-def _effective(first: FloatArray, second: FloatArray, step: int) -> FloatArray:
+def _effective(first: FloatArray, second: FloatArray, step: float) -> FloatArray:
     """How many equal parts make a sum as even as this one, from the sums of parts and of their squares."""
     return step * first**2 / np.maximum(second, 1e-300)
 

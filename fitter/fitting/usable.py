@@ -67,12 +67,9 @@ def usable(
         )  # fmt: skip
     if not part:
         _check_size(table, metric, used, list(channels), float(summary.largest.max()))
-    index, measure = np.flatnonzero(used), None
-    if weighting == "solid_angle":
-        measure = np.zeros(len(used))
-        measure[index] = measures(table, index)
+    measure = measures(table, used) if weighting == "solid_angle" else None
     return Usable(
-        metric, weighting, table, index, used, channels, floor, summary,
+        metric, weighting, table, np.flatnonzero(used), used, channels, floor, summary,
         anisotropic and table.symmetry == "isotropic", measure, left_out,
     )  # fmt: skip
 

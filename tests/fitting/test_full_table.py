@@ -74,6 +74,29 @@ def test_a_model_that_fits_badly_ends_at_its_optimum_in_a_few_passes():
     assert again.metrics["objective"] == pytest.approx(fit.metrics["objective"], rel=1e-6)
 
 
+def test_a_part_of_a_grid_stands_for_all_of_it():
+    """Evenly spaced rows: the samples are the table's, none twice, and sums of them the table's."""
+    grid = merl_grid((54, 60, 120))
+    wi, wo = grid.directions()
+    above = (wi[:, 2] > 1e-6) & (wo[:, 2] > 1e-6)
+    # Its place in the table is the second value of each sample.
+    value = np.stack([0.1 + wi[:, 2], np.arange(len(wi)) + 1.0], axis=1)
+    data = usable(Table(grid=grid, value=value, mask=above), "cosine", Select())
+    blocks, each = data.blocks_of_some([0, 1])
+    assert len(list(blocks)) > 1
+    seen, total = [], 0.0
+    for block in blocks:
+        used = np.flatnonzero(block.weight[0])
+        index = block.y[1, used].astype(int) - 1
+        np.testing.assert_allclose(block.pair[:, used], np.concatenate([wi.T, wo.T])[:, index], atol=1e-15)
+        seen += index.tolist()
+        total += block.y[0, used].sum()
+    assert above[seen].all()
+    assert len(set(seen)) == len(seen)
+    assert len(seen) * each == pytest.approx(above.sum(), rel=0.01)
+    assert total * each == pytest.approx(value[above, 0].sum(), rel=0.01)
+
+
 @pytest.mark.parametrize("metric", ["cosine", "log", "cbrt"])
 def test_subset_stands_for_the_table(metric):
     """The weighted subset's objective estimates the table's without bias: 200 seeds, 4 standard errors."""
