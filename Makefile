@@ -7,7 +7,7 @@ WORKERS ?= $(shell echo $$(($$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) +
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test coverage lint docs bench evidence serve image-check lock clean
+.PHONY: help install demo test test-long coverage lint docs bench evidence serve image-check lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -30,8 +30,12 @@ demo: .venv/.installed ## fit a bundled table with all models and write demo/rep
 # what each test process takes to collect them.
 PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-test: .venv/.installed ## run the tests
-	$(PYTEST) $(ARGS)
+test: .venv/.installed ## run the tests but for the long ones; ARGS="tests/cli -k fit" for some, long ones among them
+	$(PYTEST) $(or $(ARGS),-m "not long")
+
+# Whole paths through page, server, batch and documents, processes that are killed, statistics, measured tables.
+test-long: .venv/.installed ## run the long tests
+	$(PYTEST) -m long
 
 coverage: .venv/.installed ## run the tests and count the branches they take, into build/coverage
 	$(PYTEST) --cov --cov-report=html:build/coverage --cov-report=term:skip-covered $(ARGS)

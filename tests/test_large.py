@@ -95,6 +95,7 @@ def test_a_sample_with_room_for_all_is_the_table(folder: Path):
     assert sorted(large.sample.value.tolist()) == sorted(whole.value[whole.mask].tolist())
 
 
+@pytest.mark.long
 def test_fits_agree(folder: Path):
     """The passes see the same samples; only the order of the sums, and where they start, differ."""
     whole = fitter.load(folder / "t.parquet", duplicates="keep")

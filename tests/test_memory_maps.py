@@ -10,6 +10,7 @@ import pytest
 from fitter.memory_maps import forget_when_many
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="only Linux counts memory maps")
 def test_programs_are_forgotten_when_they_are_many() -> None:
     double = jax.jit(lambda x: 2 * x)

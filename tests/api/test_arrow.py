@@ -33,6 +33,7 @@ def vectors(w: np.ndarray) -> Any:
     return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(w.reshape(-1)), 3)
 
 
+@pytest.mark.long
 def test_draws_as_a_stream(client: Any, table: str, same: fitter.Table) -> None:
     wanted = {"wi": WI, "n": 50, "seed": 7}
     answer = client.post(f"/v1/tables/{table}/samples", json=wanted, headers={"accept": ARROW})

@@ -139,6 +139,7 @@ def _ran(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
     return json.loads(out) if "--json" in words else out
 
 
+@pytest.mark.long
 def test_a_service_does_what_the_command_does(
     address: str, file: Path, fits: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +162,7 @@ def test_a_service_does_what_the_command_does(
     assert _ran(capsys, *there, *short, "--json")["kind"] == "brdf-fitter/posterior"
 
 
+@pytest.mark.long
 def test_fits_of_a_service_are_results_like_any(
     address: str, fits: Path, fit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

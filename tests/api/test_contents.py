@@ -216,6 +216,7 @@ def test_a_client_that_goes_leaves_no_file_open(client: Any) -> None:
     assert not opened()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("packs", [True, False])
 def test_memory_is_bounded(tmp_path: Path, packs: bool) -> None:
     """A server of its own gives 70 MB away, and grows by a tenth of that at most."""

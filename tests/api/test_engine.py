@@ -97,6 +97,7 @@ def events(client: Any, location: str, after: int = 0) -> list[tuple[int, str]]:
     return found
 
 
+@pytest.mark.long
 def test_two_servers_share_the_work_and_publish_each_job_once(pair: Pair, table_bytes: bytes) -> None:
     table = pair.one.post("/v1/tables", content=table_bytes).json()["id"]
     wanted = {"table": table, "model": "oren_nayar"}
@@ -122,6 +123,7 @@ def test_two_servers_share_the_work_and_publish_each_job_once(pair: Pair, table_
     assert events(pair.other.client, jobs[0], after=len(whole)) == []
 
 
+@pytest.mark.long
 def test_killed_worker_server_and_scheduler(
     pair: Pair, table_bytes: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

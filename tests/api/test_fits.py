@@ -123,6 +123,7 @@ def test_reports(client: Any, fit: str) -> None:
     assert client.get(f"/v1/fits/{fit}/report.html").content == page.content
 
 
+@pytest.mark.long
 def test_a_report_that_an_earlier_version_kept_is_made_anew(serving: Any, table_bytes: bytes) -> None:
     service = serving()
     table = service.post("/v1/tables", content=table_bytes).json()["id"]
@@ -207,6 +208,7 @@ def test_calibration(client: Any, fit: str, wait: Callable[..., Any]) -> None:
     assert problem["code"] == "noise-needs-sigma"
 
 
+@pytest.mark.long
 def test_posterior(client: Any, table: str, fit: str, wait: Callable[..., Any]) -> None:
     wanted = {"fit": fit, "ess": 50, "rhat": 1.2, "budget_seconds": 10, "keep": 100}
     answer = client.post("/v1/posteriors", json=wanted)

@@ -78,6 +78,7 @@ def test_no_key_no_answer(guarded: Guarded) -> None:
         assert b" 401 " in wire.recv(4096)
 
 
+@pytest.mark.long
 def test_scopes(guarded: Guarded, anns: dict[str, str]) -> None:
     client, reader = guarded.client, guarded.headers("ann", "read")
     pairs = {"wi": [0, 0, 1], "wo": [0, 0, 1]}

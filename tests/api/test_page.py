@@ -21,6 +21,7 @@ from .browser import PHONE, Watched, drawn, open_panel
 MODELS = ["ward", "torrance_sparrow", "lafortune", "oren_nayar"]
 
 
+@pytest.mark.long
 def test_the_whole_path(
     watch: Callable[..., Watched], client: Any, address: str, tmp_path: Path
 ) -> None:  # fmt: skip

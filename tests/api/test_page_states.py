@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 from playwright.sync_api import Route, expect
 
 from api import keys
@@ -91,6 +92,7 @@ def test_a_job_ends_after_another_table_was_chosen(
     watched.check()
 
 
+@pytest.mark.long
 def test_a_plot_comes_back_after_a_problem(watch: Callable[..., Watched], address: str, table: str) -> None:
     watched = watch(address)
     page = watched.page

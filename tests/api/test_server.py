@@ -105,6 +105,7 @@ def test_jobs_survive_kill(
     assert b"Traceback" not in (tmp_path / "log").read_bytes()
 
 
+@pytest.mark.long
 def test_a_posterior_goes_on_where_the_server_was_killed(
     start: Callable[[], Server], table_bytes: bytes, wait: Any, tmp_path: Path
 ) -> None:
@@ -178,6 +179,7 @@ def test_what_is_no_http_gets_a_problem(start: Callable[[], Server]) -> None:
     assert server.client.get("/healthz").status_code == 200
 
 
+@pytest.mark.long
 def test_second_server_is_refused_and_an_open_event_stream_does_not_hold_up_the_stop(
     start: Callable[[], Server], table_bytes: bytes, tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ BARE = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_tradeoff_is_a_job_whose_result_is_read_and_drawn(
     client: Any, table: str, wait: Callable[..., dict[str, Any]]
 ) -> None:

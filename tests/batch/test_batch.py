@@ -136,6 +136,7 @@ def test_stopped_and_resumed(tables: Path, tmp_path: Path, done: Path):
     assert rows_without_times(tmp_path) == rows_without_times(done)
 
 
+@pytest.mark.long
 def test_workers_of_its_own(tables: Path, tmp_path: Path, done: Path):
     """The same numbers as in one process, each once."""
     found = run(_planned(tables), tmp_path, workers=2)

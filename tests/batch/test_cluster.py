@@ -19,6 +19,8 @@ from fitter.batch import batch_spec, cluster, plan, run
 from fitter.progress import Cancelled
 from tests.batch.conftest import Write, rows_without_times
 
+pytestmark = pytest.mark.long
+
 _COUNT = 14
 #: Seconds that a process may take to start on a busy machine.
 _PATIENCE = 120.0

@@ -24,6 +24,7 @@ CALIBRATION = Calibration(
 )
 
 
+@pytest.mark.long
 def test_tradeoff(run: Run, plaster: Path, tmp_path: Path) -> None:
     words = ["tradeoff", plaster, "--model", "oren_nayar", *BARE, "--time-limit", "2min", "--out", tmp_path]
     document = run(*words, "--json").document

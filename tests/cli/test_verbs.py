@@ -146,6 +146,7 @@ def test_fit_that_fails_says_why(run: Run, tmp_path: Path) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.long
 def test_fit_auto_ranks_models_and_writes_the_best(run: Run, plaster: Path, tmp_path: Path) -> None:
     words = ("fit", plaster, "--model", "auto", "--candidates", "lambert,oren_nayar", "--folds", "4")
     document = run(*words, "--out", tmp_path, "--json").document
@@ -167,6 +168,7 @@ def test_fit_auto_ranks_models_and_writes_the_best(run: Run, plaster: Path, tmp_
     assert "How the model was chosen" in (tmp_path / "report" / "report.html").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [
@@ -322,6 +324,7 @@ def test_datasets(run: Run, tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.long
 def test_posterior_and_report(run: Run, fits: Path, tmp_path: Path) -> None:
     out = tmp_path / "posterior.json"
     words = ["posterior", fits / "oren_nayar.json", "--budget-seconds", "20", "--ess", "100", "--rhat", "1.1"]
@@ -392,6 +395,7 @@ def test_one_fit_of_several(run: Run, fits: Path, tmp_path: Path) -> None:
     assert load_result(several, "oren_nayar").model.spec.name == "oren_nayar"
 
 
+@pytest.mark.long
 def test_serve_until_interrupted(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -414,6 +418,7 @@ def test_serve_until_interrupted(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_demo(run: Run, tmp_path: Path) -> None:
     ran = run("demo", "--out", tmp_path / "demo", "--budget-seconds", "30", "--json")
     assert ran.status == 0, ran.err

@@ -38,6 +38,11 @@ from fitter.formats import formats
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN_ADDRESS = "http://127.0.0.1:8000"
+#: Pages whose commands take longer than ten seconds.
+LONG = {
+    "CONTRIBUTING.md", "batch.md", "command-line.md", "cost.md", "export.md", "http.md", "scenes.md",
+    "uncertainty.md",
+}  # fmt: skip
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#{1,6} (.+)$", re.MULTILINE)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -165,7 +170,11 @@ def address(tmp_path_factory: pytest.TempPathFactory, environment: dict[str, str
             running.wait(timeout=60)
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.long] * (path.name in LONG)) for path in PAGES],
+    ids=[path.name for path in PAGES],
+)
 def test_everything_shown_runs(
     path: Path, tmp_path: Path, environment: dict[str, str], request: pytest.FixtureRequest,
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,

@@ -15,7 +15,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,40 +121,44 @@ def mutants(room: str) -> list[Mutant]:
 
 
 def tests_of(room: str, stem: str) -> list[str]:
-    """The room's test files, those of the module's name first."""
+    """The room's test files: those of the module's name first, then those that all of the room's modules have
+    to pass."""
     files = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests" / room).rglob("test_*.py"))
-    return sorted(files, key=lambda file: (f"test_{stem}.py" not in file, "test_oracles" not in file))
+    first = (f"test_{stem}.py", "test_oracles.py", f"test_{room}.py")
+    return sorted(files, key=lambda file: [name not in file for name in first])
 
 
 def failure(place: Path, tests: Sequence[str]) -> str | None:
-    """What the tests say in a copy of the project where one of them fails, None where all pass."""
+    """What the tests say in a copy of the project where one of them fails, None where all pass. Those that
+    take long come last."""
     environment = {
-        **os.environ, "PYTHONPATH": str(place), "OPENBLAS_NUM_THREADS": "1",
+        **os.environ, "PYTHONPATH": str(place), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "",
         "JAX_COMPILATION_CACHE_DIR": str(place.parent / "programs"),
         "BRDF_SHARED": os.environ.get("BRDF_SHARED", str(ROOT.parent / "shared")),
     }  # fmt: skip
-    words = [sys.executable, "-m", "pytest", "-x", "-n", "0", "--hypothesis-seed=0", *tests]
-    try:
-        ran = subprocess.run(
-            words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST
-        )
-    except subprocess.TimeoutExpired:
-        return f"no end within {LONGEST:g} s"
-    if ran.returncode == 5:
-        raise RuntimeError(f"no tests among {tests}")
-    return ran.stdout[-2000:] if ran.returncode else None
+    for which in ("not long", "long"):
+        words = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-m", which, "--hypothesis-seed=0", *tests]
+        try:
+            ran = subprocess.run(
+                words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST
+            )
+        except subprocess.TimeoutExpired:
+            return f"no end within {LONGEST:g} s"
+        if ran.returncode == 5:
+            raise RuntimeError(f"no {which} tests among {tests}")
+        if ran.returncode:
+            return ran.stdout[-2000:]
+    return None
 
 
-def _copies(folder: Path) -> Iterator[Path]:
-    """The project in ``folder``, anew each time."""
-    while True:
-        place = folder / "project"
-        shutil.rmtree(place, ignore_errors=True)
-        place.mkdir()
-        for name in ("fitter", "api", "tests", "data", "docs"):
-            shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("__pycache__"))
-        shutil.copy(ROOT / "pyproject.toml", place)
-        yield place
+def _copied(folder: Path) -> Path:
+    """The project, copied into ``folder``."""
+    place = folder / "project"
+    place.mkdir()
+    for name in ("fitter", "api", "tests", "data", "docs"):
+        shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", place)
+    return place
 
 
 def judge(room: str, share: float, seed: int) -> Outcome:
@@ -162,16 +167,25 @@ def judge(room: str, share: float, seed: int) -> Outcome:
     drawn = random.Random(seed).sample(every, min(len(every), max(2, round(count * share))))
     missed: list[Mutant] = []
     with tempfile.TemporaryDirectory() as name:
-        copies = _copies(Path(name))
+        # One copy for all: what Python, JAX and Numba keep of the modules that don't change is not made anew.
+        place = _copied(Path(name))
         # Tests that fail anyway see everything; and the programs they share are compiled by then.
-        if (why := failure(next(copies), tests_of(room, ""))) is not None:
+        if (why := failure(place, tests_of(room, ""))) is not None:
             raise RuntimeError(f"the tests of {room} fail without any fault:\n{why}")
-        for one in drawn:
-            place = next(copies)
-            (place / one.path).write_text(one.source())
-            if failure(place, tests_of(room, Path(one.path).stem)) is None:
+        for k, one in enumerate(drawn):
+            path = place / one.path
+            sound = path.read_text()
+            path.write_text(one.source())
+            began = time.monotonic()
+            seen_by_tests = failure(place, tests_of(room, path.stem)) is not None
+            path.write_text(sound)
+            if not seen_by_tests:
                 missed.append(one)
-                print(f"mutants: missed {one.path}:{one.line} {one.change}", file=sys.stderr, flush=True)
+            print(
+                f"mutants: {room} {k + 1} of {len(drawn)} {'seen' if seen_by_tests else 'MISSED'}, "
+                f"{time.monotonic() - began:.0f} s: {one.path}:{one.line} {one.change}",
+                file=sys.stderr, flush=True,
+            )  # fmt: skip
     seen = len(drawn) - len(missed)
     figures = {
         "possible": len(every), "tried": len(drawn), "seen": seen, "share": round(seen / len(drawn), 3),

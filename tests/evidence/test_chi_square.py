@@ -10,6 +10,8 @@ from tests.evidence.chi_square import SIGNIFICANCE, TESTS, P, _verdicts, examine
 from tests.models import cells
 from tests.models.statistics import chi_square_p
 
+pytestmark = pytest.mark.long
+
 
 def verdicts(found: dict) -> list[str]:
     return [what for what, broken in _verdicts(found) if broken]

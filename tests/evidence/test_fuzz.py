@@ -116,6 +116,7 @@ def badly(pipe: Connection, name: str, seed: int, numbers: Sequence[int]) -> Non
         pipe.send({"number": number, "outcome": "table"})
 
 
+@pytest.mark.long
 def test_hangs_and_crashes_are_told_and_the_rest_goes_on():
     began = time.perf_counter()
     found = list(fuzz.records(ONE, 3, range(5), target=badly, longest=3.0))

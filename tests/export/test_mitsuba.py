@@ -58,6 +58,7 @@ def brushed(tmp_path_factory: pytest.TempPathFactory) -> tuple[ReflectanceModel,
 
 
 # The study tests/evidence/exports.py has all families, more anisotropic ones and tables.
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["painted", "brushed"])
 def test_measured_is_ours_times_the_cosine(mi: Any, name: str, request: pytest.FixtureRequest) -> None:
     """At 10^4 directions, half of them from the model's own sampler; and it draws as its density says."""
@@ -162,6 +163,7 @@ def pictured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return folder, pictures.ours("environment", pictures.LAMBERT[0], ball, folder)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["plugin", "measured"])
 def test_a_picture_is_ours(mi: Any, kind: str, pictured: tuple[Path, Any]) -> None:
     import fitter.export.mitsuba as plugin

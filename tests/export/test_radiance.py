@@ -37,6 +37,7 @@ def _asked(path: Path) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     return wi, hemi, mirror, back
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("target", "within"), [("klems", 0.02), ("tensor-tree", 0.01)])
 def test_of_a_brushed_surface_radiance_finds_what_the_note_says(
     target: str, within: float, tmp_path: Path
@@ -53,6 +54,7 @@ def test_of_a_brushed_surface_radiance_finds_what_the_note_says(
     assert np.abs(hemi / ours - 1).max() < min(float(stated[1]) / 100 + 0.01, within)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("target", "name", "most"),
     [("klems", "torrance_sparrow", 0.3), ("tensor-tree", "torrance_sparrow", 0.05)],
@@ -72,6 +74,7 @@ def test_radiance_finds_the_reflectance(target: str, name: str, most: float, tmp
     np.testing.assert_allclose(back[1:], np.asarray(model.evaluate(wi, wi))[1:, 1], rtol=0.05)
 
 
+@pytest.mark.long
 def test_a_table_says_what_it_does_not_cover(tmp_path: Path) -> None:
     pytest.importorskip("pyradiance", reason="NO RADIANCE: its reading of exports is not checked")
     table = fitter.load(Path(__file__).resolve().parents[2] / "data" / "tables" / "diffuse_plaster.csv")

@@ -94,6 +94,7 @@ def test_gltf_finds_the_material_that_it_is(tmp_path: Path) -> None:
     assert material["extras"]["residuals"] == told.to_dict()["residuals"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "node", "source"),
     [("materialx", "gltf_pbr", "metal"), ("openpbr", "open_pbr_surface", "metal"),
@@ -154,6 +155,7 @@ def test_openpbr_is_made_of_what_it_says(metal: ReflectanceModel) -> None:
     np.testing.assert_allclose(found, eon.evaluate(wi[high], wo[high]), rtol=2e-3)
 
 
+@pytest.mark.long
 def test_openpbr_holds_a_brushed_surface(brushed: ReflectanceModel, tmp_path: Path) -> None:
     told = write(brushed, "openpbr", tmp_path / "m.mtlx")
     assert told.residuals["refit"] < 0.1

@@ -70,6 +70,7 @@ def _needed(program: str) -> str:
     return found
 
 
+@pytest.mark.long
 def test_c_compiles_without_warnings_and_is_the_model(
     models: dict[str, ReflectanceModel], expected: dict[str, FloatArray], pairs: Pairs, tmp_path: Path
 ) -> None:

@@ -49,6 +49,7 @@ def _table(seed: int, samples: int, lobes: FloatArray, strengths: FloatArray, in
     return pair, exact + sigma * rng.standard_normal(samples), 1 / sigma
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("in_plane", [False, True])
 @pytest.mark.parametrize("strength", [1e-4, 0.3])
 @pytest.mark.parametrize("seed", range(3))

@@ -75,6 +75,7 @@ def test_stated_noise_explains_the_residuals(name):
     assert np.abs(pull(fit, model)).max() < 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["eon", "mixed"])
 def test_nlopt_reaches_the_same_optimum(name):
     model, table, ours = fitted(name)
@@ -84,6 +85,7 @@ def test_nlopt_reaches_the_same_optimum(name):
         np.testing.assert_allclose(theirs.parameters[parameter].value, estimate.value, rtol=2e-3, atol=1e-6)
 
 
+@pytest.mark.long
 def test_uncertainties_of_mixed_parameters_cover_at_their_rate():
     model = models.create(MIXED, **NEW["mixed"][1])
     # Two starts find this optimum: the search is a third of the time less, and not what is tested.
@@ -106,6 +108,7 @@ def test_labels_and_covariance_of_a_mixed_fit():
     assert again.to_dict() == fit.to_dict()
 
 
+@pytest.mark.long
 def test_bounds_and_fixed_hold_in_every_channel():
     model = models.create(MIXED, **NEW["mixed"][1])
     table = scattered(model, seed=5, n=N)
@@ -198,6 +201,7 @@ def test_reduced_gradient_on_the_curve_is_the_finite_difference():
     np.testing.assert_allclose(jax.jacfwd(residuals)(u)[..., 0], numeric, atol=1e-7)
 
 
+@pytest.mark.long
 def test_an_albedo_above_its_bound_is_on_the_bound():
     model = models.create("oren_nayar:eon", rho=[0.99, 0.5], sigma=0.3)
     exact = scattered(model, seed=1, noise=0.0)

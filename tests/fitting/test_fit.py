@@ -76,6 +76,7 @@ def test_stated_noise_is_the_default_metric_and_explains_the_residuals(truth):
     assert np.abs(pull(fit, truth)).max() < 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "metric"), [*((name, "cosine") for name in TRUTHS), ("ward", "cbrt")])
 def test_nlopt_reaches_the_same_optimum(name, metric):
     table, ours = fitted(name, metric)
@@ -85,6 +86,7 @@ def test_nlopt_reaches_the_same_optimum(name, metric):
         np.testing.assert_allclose(theirs.parameters[parameter].value, estimate.value, rtol=2e-3, atol=1e-6)
 
 
+@pytest.mark.long
 def test_standard_uncertainties_cover_at_their_rate():
     """60 simulated tables: 68 % and 95 % intervals within binomial bands of 4 standard deviations."""
     model = models.create("ward", **TRUTHS["ward"])
@@ -145,6 +147,7 @@ def test_local_solves_end_where_they_say():
         np.testing.assert_allclose(inner[0], expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_fixed_and_bounds_are_kept():
     model = models.create("ward", **TRUTHS["ward"])
     table = scattered(model, seed=6)

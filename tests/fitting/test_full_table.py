@@ -58,6 +58,7 @@ def test_merl_table_of_an_independent_generator(tmp_path, convention):
         assert fitter.fit(wrong, "ward").metrics["objective"] > 1.5 * fit.metrics["objective"]
 
 
+@pytest.mark.long
 def test_a_model_that_fits_badly_ends_at_its_optimum_in_a_few_passes():
     """With a slope that was not the objective's this took 34 passes and ended 0.002 % above it."""
     wi, wo = merl_grid((54, 60, 120)).directions()
@@ -119,6 +120,7 @@ def test_subset_stands_for_the_table(metric):
     assert abs(np.mean(found) - target) < 4 * np.std(found) / np.sqrt(200)
 
 
+@pytest.mark.long
 @pytest.mark.measured
 @pytest.mark.parametrize(("lobes", "limit"), [(2, 1.0845), (3, 1.0807)])
 def test_retro_tape_reaches_what_others_reach(shared, lobes, limit):
@@ -132,6 +134,7 @@ def test_retro_tape_reaches_what_others_reach(shared, lobes, limit):
     assert np.sqrt(np.mean(residual**2)) <= limit
 
 
+@pytest.mark.long
 @pytest.mark.measured
 @pytest.mark.parametrize("name", ["ward", "torrance_sparrow", "lafortune", "oren_nayar"])
 @pytest.mark.parametrize(
@@ -159,6 +162,7 @@ def test_every_measured_table_fits_every_family(shared, file, options, name):
     assert np.isfinite(np.asarray(fit.model.evaluate(wi, wo))).all()
 
 
+@pytest.mark.long
 @pytest.mark.measured
 def test_ptfe_is_nearly_lambertian(shared):
     """Sintered PTFE: every wavelength fits, and the diffuse albedo is near 1."""

@@ -133,6 +133,7 @@ def test_scattered_samples_without_scans_are_told():
     assert caught.value.code == "no-scans"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("metric", "within"), [("relative", 0.04), ("log", 0.03), ("cbrt", 0.02)])
 def test_the_spacing_of_a_grid_does_not_decide(metric, within):
     """A surface that the model can't follow, on a grid like MERL's and on one in theta_i and theta_o: albedos
@@ -211,6 +212,7 @@ def noisy(noise: float = 0.1, n: int = 20_000) -> tuple[Table, np.ndarray]:
     return Table(wi=wi, wo=wo, value=value), exact
 
 
+@pytest.mark.long
 def test_relative_weights_come_from_the_model_and_bias_nothing():
     """Weights 1/y of the noisy values bias the diffuse albedo by many standard errors; those of the model, as
     the metric has them and as three reweightings of the measurement metric have them, do not."""

@@ -117,6 +117,7 @@ def test_what_has_no_reduction_has_none():
     assert reduction.reduce(rough, usable(loose, "cosine", Select()), [0]) is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ward", "oren_nayar:full"])
 def test_a_fit_by_pseudo_samples_is_the_fit(name, monkeypatch):
     table = grid_table(name)

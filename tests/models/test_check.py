@@ -26,6 +26,7 @@ def figures(name: str) -> dict[str, dict[str, Any]]:
     return {figure["name"]: figure for figure in document["figures"]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ward", "specular:schlick"])
 def test_right_models_keep_their_bounds(name: str) -> None:
     found = figures(name)
@@ -33,6 +34,7 @@ def test_right_models_keep_their_bounds(name: str) -> None:
     assert {"reciprocity", "float32 from float64", "cost float64", "largest albedo"} <= set(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [("ward:duer", 8.0, 10.0), ("kulla_conty:none", 1 - 1e-5, 1 + 1e-5), ("oren_nayar:full", 1.04, 1.06)],
@@ -74,6 +76,7 @@ def _pdf(change: Callable[[Array], Array]) -> Patch:
     return patch
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("figure", "patch"),
     [

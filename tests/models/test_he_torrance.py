@@ -31,6 +31,7 @@ def _exact(g: float, sideways: float) -> mp.mpf:
         return mp.fsum(terms)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_series_digits(dtype):
     """From nearly smooth to g = 1.5e4, on both sides of where terms are skipped, far down the tails."""
@@ -114,6 +115,7 @@ def test_smooth_surface_is_a_mirror():
     np.testing.assert_allclose(samples.weight.mean(), mirror.albedo(wi)[0], rtol=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sigma", [0.02, 0.1, 0.3, 2.0])
 def test_energy_moves_from_the_mirror_to_the_lobe(sigma):
     """At normal incidence e^-g of it stays coherent, and of the rest no more is lost than 2e-3."""
@@ -147,6 +149,7 @@ def test_is_reciprocal():
     np.testing.assert_allclose(model.evaluate(wi, wo), model.evaluate(wo, wi), rtol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sigma", "tau", "cosine"), [(0.05, 3.0, 0.9), (0.15, 2.0, 0.6), (1.0, 10.0, 0.6)])
 def test_weights_estimate_the_albedo(sigma, tau, cosine):
     model = models.create("he_torrance", sigma=sigma, tau=tau, **MIRROR)

@@ -84,6 +84,7 @@ def test_loss_against_closed_forms(dtype: type) -> None:
         assert 1 - float(found) == pytest.approx(average, abs=3e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ndf", ["ggx", "beckmann"])
 @pytest.mark.parametrize("alpha", [1e-3, 0.05, 0.4, 1.5])
 def test_loss_differentiates(ndf: str, alpha: float) -> None:

@@ -49,6 +49,7 @@ def test_directional_albedo(shared: Path, prefix: str):
         assert found == pytest.approx(float(row["albedo"]), abs=allowed)
 
 
+@pytest.mark.long
 @pytest.mark.measured
 @pytest.mark.parametrize("bounce", ["without", "with"])
 def test_directional_albedo_of_full_oren_nayar(shared: Path, bounce: str):

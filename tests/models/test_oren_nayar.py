@@ -22,6 +22,7 @@ def direction(mu: float, phi: float = 0.0) -> np.ndarray:
     return np.array([s * math.cos(phi), s * math.sin(phi), mu])
 
 
+@pytest.mark.long
 @pytest.mark.measured
 @pytest.mark.parametrize("kind", ["with", "without"])
 def test_full_form_has_the_published_albedo(shared: Path, kind: str):

@@ -41,6 +41,7 @@ def test_against_brute_force(ndf: str, alpha: float) -> None:
     np.testing.assert_allclose(np.asarray(model.evaluate(wi, wo))[:, 0], expected, rtol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("ndf", "error"), [("ggx", 2e-5), ("beckmann", 1e-4)])
 def test_more_nodes_change_nothing(monkeypatch: pytest.MonkeyPatch, ndf: str, error: float) -> None:
     wi, wo = hemisphere(3, 60), hemisphere(4, 60)
@@ -63,6 +64,7 @@ def test_smooth_surface_is_the_facet(facet: str) -> None:
     )
 
 
+@pytest.mark.long
 def test_white_facets_lose_light_and_look_like_oren_nayar() -> None:
     """Retro-reflection brightens and forward scattering darkens, as in Oren and Nayar's V-grooves."""
     rough = models.create("rough_facets:beckmann(lambert)", alpha=0.6, facet_kd=1.0)

@@ -170,6 +170,7 @@ def test_slopes_are_finite(name, dtype):
         assert finite(slope)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("eta", "cosine", "side"), [(1.5, 0.8, 1), (1.5, 0.3, -1), (0.6, 0.9, 1), (2.4, 0.1, 1)]

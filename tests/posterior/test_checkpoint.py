@@ -40,6 +40,7 @@ def work(tmp_path_factory):
     return folder, table, fit, fitter.posterior(table, fit, **LONG)
 
 
+@pytest.mark.long
 def test_a_killed_process_goes_on_to_the_same_bits(work):
     folder, table, fit, whole = work
     kept = folder / "killed"

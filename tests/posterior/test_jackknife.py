@@ -59,6 +59,7 @@ def test_one_step_is_what_refits_without_a_scan_give(metric):
     assert found.to_dict()["degrees_of_freedom"] == len(INCIDENCES) - 1
 
 
+@pytest.mark.long
 def test_gains_of_scans_are_covered_where_independent_residuals_miss():
     """The naive interval covers the projection (the truth, for gains around 1) far too seldom."""
     truth = {"kd[value]": 0.2, "ks[value]": 0.1, "alpha": 0.2}

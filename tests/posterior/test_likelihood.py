@@ -126,6 +126,7 @@ def test_an_angle_offset_is_found_and_the_parameters_with_it():
     assert naive == pytest.approx(left_out.uncertainties["posterior"]["u"]["kd[value]"], rel=0.2)
 
 
+@pytest.mark.long
 def test_offsets_are_common_to_channels_that_share_nothing_else():
     model = models.create("lafortune", channels=["R", "G"], kd=0.2, ks=0.2, gamma=[0.75, 0.8], n=[20.0, 30.0])
     table = scattered(model, seed=5, n=200, noise=0.05, sigma=True)

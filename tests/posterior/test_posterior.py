@@ -252,6 +252,7 @@ def test_values_of_any_scale(ward, scale):
         assert scaled.draws[:, k].mean() / scale == pytest.approx(post.draws[:, k].mean(), rel=0.01)
 
 
+@pytest.mark.long
 def test_a_lobe_that_the_table_does_not_show_has_a_proper_posterior():
     """kd is known, ks may be anything below its stated bound: finite draws, and no false convergence."""
     model = models.create("ward", kd=0.3, ks=0.0)
@@ -267,6 +268,7 @@ def test_a_lobe_that_the_table_does_not_show_has_a_proper_posterior():
 # Mixed parameters, coefficients that are not free, anisotropic surfaces ---------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("spec", "values"),
     [

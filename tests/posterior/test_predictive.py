@@ -29,6 +29,7 @@ def interval_score(lower: np.ndarray, upper: np.ndarray, y: np.ndarray) -> float
     return float(np.mean(upper - lower + 2 / 0.05 * outside))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("held_out", ["random", "scans"])
 def test_bands_hold_what_they_say_and_score_better_than_one_number_for_the_misfit(held_out):
     """Held-out scans lie between fitted ones, or beside the outermost."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -108,6 +109,7 @@ def test_any_scattered_table(drawn: dict[str, Any]) -> None:
     judge(Table(wi=wi, wo=wo, metadata=Metadata(**drawn.pop("metadata")), **drawn))
 
 
+@pytest.mark.long
 @given(gridded())
 def test_any_grid(drawn: dict[str, Any]) -> None:
     grid = Grid(drawn["system"], drawn["axes"], drawn["periodic"])

@@ -46,6 +46,7 @@ def test_reflectance_is_the_integral() -> None:
         assert np.sin(np.deg2rad(85)) ** 2 * 0.99 < row["coverage"] < np.sin(np.deg2rad(85)) ** 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["half_difference", "spherical_isotropic"])
 def test_reflectance_of_a_grid(system: str) -> None:
     """Against the sampler's own estimate, for a lobe much narrower than a regular raster would see."""

@@ -27,6 +27,7 @@ HARD = {
 WITH_POSTERIOR = ("one sample", "in plane", "formulas for names")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", HARD)
 def test_hard_tables(
     case: str, make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior

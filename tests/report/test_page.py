@@ -127,6 +127,7 @@ def test_the_quality_of_the_table_is_shown(make_table: MakeTable, make_fit: Make
     assert 'id="quality"' not in Report.from_dict(older).html()
 
 
+@pytest.mark.long
 def test_the_pdf_shows_the_record_and_is_the_same_each_time(
     make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
 ) -> None:

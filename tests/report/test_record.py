@@ -87,6 +87,7 @@ def test_failures_are_said_first(
     assert any("R-hat is 1.4." in reason for reason in verdict["reasons"])
 
 
+@pytest.mark.long
 def test_the_choice_of_a_model_is_shown_and_its_verdict_counts(
     make_table: MakeTable, make_fit: MakeFit
 ) -> None:
@@ -213,6 +214,7 @@ def test_a_systematic_misfit_is_said_to_make_u_too_small(make_table: MakeTable, 
     assert not any("several times" in text for text in limits)
 
 
+@pytest.mark.long
 def test_robust_uncertainties_stand_beside_those_of_independent_residuals(
     make_table: MakeTable, make_fit: MakeFit
 ) -> None:
@@ -250,6 +252,7 @@ def test_slices_hold_the_samples_of_their_plane(make_table: MakeTable, make_fit:
     assert cut["points"]["theta_o_deg"][peak] == pytest.approx(30.0, abs=7.6)
 
 
+@pytest.mark.long
 def test_posterior_bands_contain_the_curve(
     make_table: MakeTable, make_fit: MakeFit, make_posterior: MakePosterior
 ) -> None:

@@ -281,6 +281,7 @@ def test_the_samplers_import_no_jax() -> None:
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0
 
 
+@pytest.mark.long
 @pytest.mark.measured
 def test_measured_tables(shared: Path) -> None:
     tables = [

@@ -118,6 +118,7 @@ def theirs(kind: str, plane: dict[str, Any], ball: dict[str, Any]) -> tuple[np.n
     return passes.mean(axis=0), passes.std(axis=0) / np.sqrt(SAMPLES - 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("swapped", [False, True], ids=["metal-ball", "metal-plane"])
 @pytest.mark.parametrize("kind", ["directional", "environment"])
 def test_pictures_agree(kind: str, swapped: bool, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ def checked(found: Selection) -> Selection:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TRUTHS)
 def test_the_model_that_made_the_table_is_chosen(name, plain):
     truth = known(name)
@@ -68,6 +69,7 @@ def test_a_lambertian_fit_is_the_mean():
     assert other.parameters["kd"].value[0] == pytest.approx(np.pi * table.value.mean(), rel=1e-9)
 
 
+@pytest.mark.long
 def test_held_out_errors_are_no_smaller_than_fitted_ones(plain):
     """The inequality that lets a model be dismissed before any scan is held out."""
     from fitter.progress import ignore
@@ -84,6 +86,7 @@ def test_held_out_errors_are_no_smaller_than_fitted_ones(plain):
         assert (held.held_out >= trial.fitted * (1 - 1e-6)).all()
 
 
+@pytest.mark.long
 def test_an_isotropic_surface_measured_at_several_azimuths_needs_no_anisotropic_model():
     scans = {"incidences": (0, 20, 40, 60), "azimuths": (0, 60, 120), "step": 20.0}
     both = ("ward", "ward:anisotropic")
@@ -179,6 +182,7 @@ def test_a_budget_ends_the_list_and_says_so(plain):
     assert all("were spent" in one.reason for one in found.not_candidates)
 
 
+@pytest.mark.long
 def test_retro_reflective_tape_needs_several_lobes(shared: Path):
     table = fitter.load(shared / "measured/retro/retro-3M-jaune.dat", quantity="brdf")
     # A search as large as that of the folds: the last fit then needs no program of its own.
@@ -188,6 +192,7 @@ def test_retro_reflective_tape_needs_several_lobes(shared: Path):
     assert "Compared on 6,1" in found.sentences[-1]
 
 
+@pytest.mark.long
 def test_sintered_ptfe_is_diffuse_before_it_is_glossy(shared: Path):
     declared = {
         "lambda": "wavelength_um", "thetai": "theta_i_deg", "phi": "phi_i_deg", "thetar": "theta_o_deg",

@@ -169,6 +169,7 @@ def test_a_scan_sees_a_fit_that_is_no_optimum(table):
     assert exhaustive.scan(table, worse)["best_node"] < -1e-2
 
 
+@pytest.mark.long
 def test_what_was_measured_is_read_back_and_drawn(measured, tmp_path):
     measured.save(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
