@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitter.errors import SpecError
-from fitter.quality import noise
-from fitter.quality.measured import Measured
 from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +25,10 @@ def bound_from_noise(table: Table) -> tuple[float, FloatArray]:
 
     Raises SpecError where the table is too small, or too smooth, to tell.
     """
+    # Half a second, and whoever states a bound needs none of it.
+    from fitter.quality import noise
+    from fitter.quality.measured import Measured
+
     channels = len(table.channels)
     if table.sigma is not None:
         size, sigma = np.abs(table.value[table.mask]), table.sigma[table.mask]

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from fitter.compression.stages import Neighbours, Numbers
 
@@ -191,6 +190,8 @@ def _fitted_weights(seen: Seen, target: FloatArray) -> list[int]:
 
 def _fitted_widths(seen: Seen, error: FloatArray) -> list[int]:
     """Weights (coded) with which the signs predict |errors|, in proportion."""
+    from scipy.optimize import nnls  # a third of a second, and reading needs none of it
+
     signs = np.stack([np.ones_like(error), *seen.signs], axis=1)
     expected = np.median(error) + 0.2 + 0.5 * signs[:, 1]
     found = np.zeros(signs.shape[1])

@@ -114,7 +114,7 @@ def _best(
     best, least = starts[0], np.inf
     for start in starts:
         # One start at a time: one program serves every call.
-        u, cost, _ = separable.solve_many(alone, jnp.asarray(start[None]), pair, y, weight, moving=moving)
+        u, cost, _ = separable.solve_many(alone, start[None], pair, y, weight, moving=moving)
         if np.isfinite(u).all() and float(cost[0]) < least:
             best, least = np.asarray(u)[0], float(cost[0])
     # Two channels may have found the same surface under different labels.

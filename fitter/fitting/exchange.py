@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from fitter.fitting import candidates
 from fitter.fitting.layout import Layout
@@ -78,6 +77,8 @@ class _Problem:
 
     def solved(self, columns: FloatArray) -> _Solved:
         """The best non-negative combination of columns (K, n)."""
+        from scipy.optimize import nnls  # a third of a second, and most fits exchange no lobes
+
         q, r = np.linalg.qr(columns.T)
         b, _ = nnls(r, q.T @ self.target)
         residual = self.target - b @ columns

@@ -13,7 +13,6 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 FloatArray = NDArray[np.float64]
 #: Passes stop when the objective can fall by less than this many units of its value per degree of
@@ -210,5 +209,7 @@ def _step(
         free = high - low > 0
         d = np.zeros_like(p)
         if free.any():
+            from scipy.optimize import lsq_linear  # a third of a second, and most fits need none of it
+
             d[free] = lsq_linear(a[:, free], target, bounds=(low[free], high[free]), method="bvls").x
     return d / scale

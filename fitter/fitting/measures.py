@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree, SphericalVoronoi
 
 from fitter.errors import SpecError
 from fitter.grid import Grid
@@ -151,6 +150,8 @@ def _scan(wi: FloatArray, wo: FloatArray) -> FloatArray:
 def _areas(w: FloatArray) -> FloatArray:
     """(n,) areas of the Voronoi cells of distinct directions on the hemisphere, which their mirror images in
     the horizon close. Where the samples themselves end, cells are cut to discs."""
+    from scipy.spatial import KDTree, SphericalVoronoi  # a tenth of a second, and grids need none of it
+
     points, place, times = np.unique(np.round(w, 9), axis=0, return_inverse=True, return_counts=True)
     place = place.reshape(-1)
     count = len(points)

@@ -72,7 +72,7 @@ def _solve(
     if len(low) == 1:
         # A scan: every local minimum of it is looked into, and narrow ones need all samples to be seen.
         tried = low + (high - low) * candidates.scan(max(count, candidates.NODES))
-        cost = np.asarray(separable.screen(layout, jnp.asarray(tried), pair, y, weight)).sum(axis=1)
+        cost = np.asarray(separable.screen(layout, tried, pair, y, weight)).sum(axis=1)
         begin = tried[candidates.minima(cost, solves)]
     else:
         cube = candidates.sobol(len(low), count, seed)
@@ -80,11 +80,11 @@ def _solve(
         # Pseudo-samples are few, and no two are alike.
         stride = candidates.stride(pair.shape[1]) if len(pair) == 6 else 1
         part = (pair[:, ::stride], y[::stride], weight[::stride])
-        cost = np.asarray(separable.screen(layout, jnp.asarray(tried), *part)).sum(axis=1)
+        cost = np.asarray(separable.screen(layout, tried, *part)).sum(axis=1)
         begin = tried[candidates.distinct(cube, cost, solves)]
     grown = beam.candidates(layout, pair, y, weight, solves)
     if grown is not None:
         # Two thirds of the starts: the beam's resolution is its library's, the others have none.
         begin = np.concatenate([grown[: solves - solves // 3], begin])[:solves]
-    u, objective, inner = separable.solve_many(layout, jnp.asarray(begin), pair, y, weight)
-    return np.asarray(u), np.asarray(objective), np.asarray(inner), len(tried)
+    u, objective, inner = separable.solve_many(layout, begin, pair, y, weight)
+    return u, objective, inner, len(tried)

@@ -13,16 +13,16 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax import Array
 from jax.scipy.linalg import cho_factor, cho_solve
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fitter.fitting import rows
 from fitter.fitting.curve import best_on_curve
 from fitter.fitting.layout import Layout
 from fitter.programs import kept
 
+FloatArray = NDArray[np.float64]
 #: Relative ridge on the scaled normal matrix: below it columns are the same column.
 RIDGE = 1e-13
 #: Starts that one program has room for.
@@ -103,23 +103,24 @@ def screen(layout: Layout, candidates: Array, pair: Array, y: Array, weight: Arr
 def solve_many(
     layout: Layout, starts: ArrayLike, pair: ArrayLike, y: ArrayLike, weight: ArrayLike, steps: int = 60,
     moving: ArrayLike | None = None,
-) -> tuple[Array, Array, Array]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Levenberg-Marquardt (optimistix) on the reduced problem from each start (S, T).
 
     Returns u (S, T), objective (S,), inner vectors (S, M, C). ``moving`` : (T,) False for entries to be held.
     One program serves any number of starts: compiling takes longer than solving.
     """
-    starts, pair, y, weight = (jnp.asarray(a) for a in (starts, pair, y, weight))
+    # By NumPy: each operation of JAX outside of a program is one more to trace in every new process.
+    starts, pair, y, weight = (np.asarray(a) for a in (starts, pair, y, weight))
     count, t = starts.shape
-    held = jnp.ones(t, bool) if moving is None else jnp.asarray(moving)
+    held = np.ones(t, bool) if moving is None else np.asarray(moving)
     found = [
         _solve_some(
-            layout, jnp.pad(starts[k : k + STARTS], ((0, max(0, k + STARTS - count)), (0, 0)), mode="edge"),
-            jnp.asarray(min(STARTS, count - k)), pair, y, weight, held, steps,
+            layout, np.pad(starts[k : k + STARTS], ((0, max(0, k + STARTS - count)), (0, 0)), mode="edge"),
+            np.asarray(min(STARTS, count - k)), pair, y, weight, held, steps,
         )
         for k in range(0, count, STARTS)
     ]  # fmt: skip
-    u, objective, inner = (jnp.concatenate(part)[:count] for part in zip(*found, strict=True))
+    u, objective, inner = (np.concatenate(part)[:count] for part in zip(*found, strict=True))
     return u, objective, inner
 
 
@@ -133,6 +134,8 @@ def _solve_some(
     The box becomes the whole line by a sigmoid, so that every step stays inside. Residuals are scaled to a
     sum of squares of order 1: in absolute units LM's own tolerances stop it early on a million residuals.
     """
+    import optimistix as optx  # a fifth of a second, and a program that is kept needs none of it
+
     low, high = (jnp.asarray(side) for side in layout.box)
     total = jnp.sqrt(jnp.maximum(jnp.sum(jnp.square(weight * y)), 1e-300))
     solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-10)

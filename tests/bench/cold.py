@@ -12,8 +12,10 @@ from pathlib import Path
 def main(table: str, cache: str) -> None:
     laps = [time.perf_counter()]
     import fitter
-    from fitter._jax import use_compilation_cache
+    from fitter._jax import compile_sooner, use_compilation_cache
 
+    # As the command starts.
+    compile_sooner()
     use_compilation_cache(Path(cache))
     import fitter.fitting
 
