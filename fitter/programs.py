@@ -20,6 +20,7 @@ import jax
 from jax import export
 from jax.core import Tracer
 
+from fitter._jax import options
 from fitter.documents import write_bytes
 from fitter.versions import installed
 
@@ -42,7 +43,9 @@ def kept(*static: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
     """
 
     def decorate(function: Callable[P, R]) -> Callable[..., R]:
-        jitted = jax.jit(function, static_argnames=static)
+        # Options are for a program of its own, not for a part of another one.
+        part = jax.jit(function, static_argnames=static)
+        whole = jax.jit(function, static_argnames=static, compiler_options=options())
         names = tuple(inspect.signature(function).parameters)
         told = f"{function.__module__}.{function.__qualname__}"
 
@@ -52,13 +55,15 @@ def kept(*static: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
             ordered = tuple(given[name] for name in names)
             arrays = tuple(given[name] for name in names if name not in static)
             leaves, tree = jax.tree.flatten(arrays)
-            folder = _folder(leaves, ordered)
+            if any(isinstance(leaf, Tracer) for leaf in leaves):
+                return part(*args, **keywords)
+            folder = _folder(ordered)
             if folder is None:
-                return jitted(*args, **keywords)
+                return whole(*args, **keywords)
             shapes = tuple((a.shape, a.dtype, a.weak_type) for a in map(jax.typeof, leaves))
 
             def make() -> export.Exported:
-                return export.export(jitted, disabled_checks=_UNCHECKED)(*ordered)
+                return export.export(part, disabled_checks=_UNCHECKED)(*ordered)
 
             asked = _Asked((tree, shapes), make)
             program = _program(folder, told, tuple((name, given[name]) for name in static), asked)
@@ -83,10 +88,10 @@ class _Asked:
         return isinstance(other, _Asked) and self.arrays == other.arrays
 
 
-def _folder(leaves: Sequence[Any], given: Sequence[object]) -> str | None:
-    """Where programs are kept; None where they are not, or where this one is part of a larger program."""
+def _folder(given: Sequence[object]) -> str | None:
+    """Where programs are kept; None where they are not."""
     place: str | None = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    if not place or jax.default_backend() != "cpu" or any(isinstance(a, Tracer) for a in leaves):
+    if not place or jax.default_backend() != "cpu":
         return None
     families = [family for a in given if isinstance(family := getattr(a, "family", None), type)]
     return place if all(family.__module__.startswith("fitter.") for family in families) else None
@@ -107,7 +112,7 @@ def _program(folder: str, told: str, settled: tuple[tuple[str, Hashable], ...], 
         except OSError as error:  # the work itself can go on
             warnings.warn(f"a program was not kept: {error}", RuntimeWarning, stacklevel=2)
     # Compiled from what was exported in the first process, too, so that the second one finds just that.
-    program = jax.jit(found.call)
+    program = jax.jit(found.call, compiler_options=options())
     # The memory of programs keeps what was asked: not also the arrays of whoever asked first.
     asked.make = None
     return program

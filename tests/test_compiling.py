@@ -7,7 +7,7 @@ import os
 import jax
 import pytest
 
-from fitter._jax import compile_sooner
+from fitter._jax import compile_sooner, options
 
 FLAG = "--xla_cpu_use_fusion_emitters=false"
 
@@ -28,5 +28,8 @@ def test_flags(
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     if said is not None:
         monkeypatch.setenv("XLA_FLAGS", said)
+    # One program at a time, where the process is somebody else's; not once the whole process has it.
+    assert options() == ({"xla_cpu_use_fusion_emitters": False} if expected != said else None)
     compile_sooner()
     assert os.environ.get("XLA_FLAGS") == expected
+    assert options() is None
