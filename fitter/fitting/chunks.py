@@ -1,4 +1,4 @@
-"""Samples by chunks: values, residuals and derivatives of one, and all blocks on threads.
+"""Samples by chunks: values, residuals and derivatives of one, and all blocks one after the other.
 
 The vector is p = [u (T,), inner (M, C) flattened], see :class:`Layout`.
 """
@@ -9,8 +9,6 @@ import functools
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +22,6 @@ from fitter.fitting.samples import Block, Blocks
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]
-T = TypeVar("T")
 #: pair, y, weight of a block.
 Column = Array | FloatArray
 Arrays = tuple[Column, Column, Column]
@@ -111,19 +108,24 @@ def arrays(block: Block) -> Arrays:
     return block.pair, block.y, block.weight
 
 
-def over_blocks(work: Callable[[Block], T], blocks: Blocks) -> list[T]:
-    """``work`` of every block, on threads: compiled programs release the GIL. A block is made by the thread
-    that needs it."""
-    if isinstance(blocks, Sequence) and len(blocks) == 1:
-        return [work(blocks[0])]
-    threads = os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        if isinstance(blocks, Sequence):
-            return list(pool.map(lambda k: work(blocks[k]), range(len(blocks))))
-        done: list[T] = []
-        waiting: deque[Future[T]] = deque()
-        for block in blocks:
-            waiting.append(pool.submit(work, block))
-            if len(waiting) > 2 * threads:  # no more than that are held at a time
-                done.append(waiting.popleft().result())
-        return done + [one.result() for one in waiting]
+def over_blocks(work: Callable[[Block], Sequence[Array]], blocks: Blocks) -> list[list[FloatArray]]:
+    """What the program that ``work`` calls makes of each block.
+
+    XLA computes on threads of its own: the next block is made meanwhile. Threads that make a block each and
+    wait for its results take a third longer, for the interpreter's lock.
+    """
+    done: list[list[FloatArray]] = []
+    # A block must not go before what is computed of it is there: its memory is read in place.
+    running: deque[tuple[Block, Sequence[Array]]] = deque()
+
+    def take() -> None:
+        _, found = running.popleft()
+        done.append([np.asarray(part) for part in found])
+
+    for block in blocks:
+        running.append((block, work(block)))
+        if len(running) > (os.cpu_count() or 1):
+            take()
+    while running:
+        take()
+    return done

@@ -7,6 +7,7 @@ Jacobian ever exists. The vector is p = [u (T,), inner (M, C) flattened], see :c
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -110,13 +111,11 @@ def normal_equations(
     u, inner = p[:t], p[t:].reshape(-1, c)
     plain = metric in metrics.QUADRATIC and layout.coefficients_are_free and not layout.mixed
 
-    def one(block: Block) -> list[FloatArray]:
+    def one(block: Block) -> Sequence[Array]:
         chunks = -(-block.count // CHUNK)
         if plain and c > 1 and len(block.weight) == 1:
-            found = _accumulate_alike(layout, u, inner, floor, arrays(block), chunks)
-        else:
-            found = _accumulate(layout, metric, u, inner, floor, arrays(block), chunks)
-        return [np.asarray(part) for part in found]
+            return _accumulate_alike(layout, u, inner, floor, arrays(block), chunks)
+        return _accumulate(layout, metric, u, inner, floor, arrays(block), chunks)
 
     sums, errors = (
         functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)

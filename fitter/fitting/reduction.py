@@ -108,14 +108,12 @@ def _grams(
     them, and the values of the channels of one weight; G = 1 where all have the same."""
     if span.within == "all":
         blocks: Blocks = data.blocks(channels)
-        parts = over_blocks(lambda block: np.asarray(_sums(layout, span, 1, BLOCK, arrays(block))), blocks)
-        return np.asarray(np.sum(parts, axis=0))
+        parts = over_blocks(lambda block: [_sums(layout, span, 1, BLOCK, arrays(block))], blocks)
+        return np.asarray(np.sum([part for (part,) in parts], axis=0))
     per_block = BLOCK // slabs.length
     blocks = TableBlocks(data, channels, per_block * slabs.length)
-    parts = over_blocks(
-        lambda block: np.asarray(_sums(layout, span, per_block, slabs.length, arrays(block))), blocks
-    )
-    return np.concatenate(parts)[: slabs.count]
+    parts = over_blocks(lambda block: [_sums(layout, span, per_block, slabs.length, arrays(block))], blocks)
+    return np.concatenate([part for (part,) in parts])[: slabs.count]
 
 
 @kept("layout", "span", "slabs", "length")

@@ -6,6 +6,7 @@ Made in chunks, as in :mod:`fitter.fitting.polish`; the vector is p = [u (T,), i
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -52,11 +53,12 @@ def errors(
     t = len(layout.entries)
     u, inner = p[:t], p[t:].reshape(-1, len(floor))
 
-    def one(block: Block) -> FloatArray:
+    def one(block: Block) -> Sequence[Array]:
         chunks = -(-block.count // CHUNK)
-        return np.hstack(_errors(layout, metric, u, inner, floor, arrays(block), chunks))
+        return _errors(layout, metric, u, inner, floor, arrays(block), chunks)
 
-    return Errors(*(float(total) for total in functools.reduce(np.add, over_blocks(one, blocks))))
+    sums = functools.reduce(np.add, map(np.hstack, over_blocks(one, blocks)))
+    return Errors(*(float(total) for total in sums))
 
 
 @kept("layout", "metric")
@@ -111,10 +113,9 @@ def scores(
     effect = jacobian @ inverse / np.where(least > 0, least, 1.0)[:, None]
     influence = effect[:, own].swapaxes(0, 1)  # (C, Q, F + M)
 
-    def one(block: Block) -> list[FloatArray]:
+    def one(block: Block) -> Sequence[Array]:
         chunks = -(-block.count // CHUNK)
-        found = _scores(layout, metric, u, inner, floor, bread, alone, influence, arrays(block), chunks)
-        return [np.asarray(part) for part in found]
+        return _scores(layout, metric, u, inner, floor, bread, alone, influence, arrays(block), chunks)
 
     outer, (x2, x4), (b, b2) = (
         functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
