@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 #: freedom: 1e-6 is a thousandth of a standard error.
 TOLERANCE = 1e-6
 MAX_PASSES = 60
+#: The square root of the largest number, about.
+LARGEST = 1e150
 #: Rounding of the residuals, relative to the fitted values.
 ROUNDING = 1e-15
 #: Scaled curvatures are taken to be at least this.
@@ -79,6 +81,9 @@ def solve(
     def ended(converged: bool) -> Solution[E]:
         return Solution(p, now, passes, converged, rest if learned else np.zeros_like(rest))
 
+    if not _finite(now):
+        # A lobe that a subset left to chance may overflow on all samples: there is no way on from there.
+        return ended(False)
     radius = max(_length(widest * p), 1e-3 * math.sqrt(max(now.objective, 0.0))) or math.inf
     while passes < max_passes:
         own = _norms(now.matrix)
@@ -98,7 +103,7 @@ def solve(
         then = equations(trial)
         passes += 1
         size = _length(widest * step)
-        finite = bool(np.isfinite(then.objective) and np.isfinite(then.matrix).all())
+        finite = _finite(then)
         noise = ROUNDING * (now.objective + _length(own * p) * math.sqrt(max(now.objective, 0.0)))
         flat = predicted <= noise
         level = flat and then.objective <= now.objective + noise
@@ -120,6 +125,11 @@ def solve(
             radius = (0.5 if finite else 0.1) * size
             blocked = blocked or not finite
     return ended(False)
+
+
+def _finite(now: Equations) -> bool:
+    """Whether the sums, and products of two of them, are numbers."""
+    return bool(now.objective < LARGEST and np.abs(now.matrix).max(initial=0.0) < LARGEST)
 
 
 def foretold(now: Equations, p: FloatArray, lower: FloatArray, upper: FloatArray) -> float:

@@ -92,7 +92,7 @@ def solve(
             near, rest = _halfway(places, data, group, near, draw(MIDDLE))
         if len(near) > 1:
             rivals = [polish(places, metric, floor, p, full, 10) for p in near]
-            near = [min(rivals, key=lambda end: end.normal.objective).p]
+            near = [min(rivals, key=_objective).p]
             passes = sum(end.passes for end in rivals)
         if rest is None:
             end = finish(places, metric, floor, near[0], full)
@@ -154,17 +154,22 @@ def _halfway(
     index, scale = drawn
     part = data.part(group, index, BLOCK, scale)  # of the length that all blocks have: one program
     ends = [polish(places, data.metric, data.floor[list(group)], p, [part]) for p in near]
-    least = min(end.normal.objective for end in ends)
+    least = min(map(_objective, ends))
     # Objectives of as many samples differ by chance, but those of the same samples by much less.
     limit = (1.0 + 3.0 / np.sqrt(MIDDLE)) * least
     rivals = [end for end in _distinct(ends, len(index)) if end.normal.objective <= limit]
     return [end.p for end in rivals], rivals[0].rest if len(rivals) == 1 else None
 
 
+def _objective(end: Polished) -> float:
+    """Infinite where it is no number."""
+    return end.normal.objective if np.isfinite(end.normal.objective) else math.inf
+
+
 def _distinct(ends: Sequence[Polished], samples: int) -> list[Polished]:
     """One end of each optimum, the best first."""
     found: list[Polished] = []
-    for end in sorted(ends, key=lambda end: np.nan_to_num(end.normal.objective, nan=np.inf)):
+    for end in sorted(ends, key=_objective):
         if not any(_same(end, other, samples) for other in found):
             found.append(end)
     return found

@@ -10,6 +10,9 @@ import pytest
 
 import fitter
 from fitter import FitError, SpecError, Table, TableError, models
+from fitter.fitting.least_squares import solve
+from fitter.fitting.polish import Normal
+from tests.bench import tables
 from tests.fitting.conftest import scattered
 
 FAMILIES = ["ward", "torrance_sparrow", "lafortune", "oren_nayar"]
@@ -105,3 +108,23 @@ def test_f09_solid_angles_that_can_not_be_told(base):
     with pytest.raises(SpecError) as caught:
         fitter.fit(base, "ward", weighting="solid_angle")
     assert caught.value.code == "no-scans"
+
+
+@pytest.mark.parametrize("starts", [6, 96])
+def test_f15_a_lobe_that_a_subset_left_to_chance_is_dropped(starts):
+    """1,024 samples leave a lobe of alpha = 2e-4 any height, 5e151 for one: its sums over all are no numbers.
+    That was a warning and ten passes for nothing."""
+    table = tables.scattered("ward", 60_000, 1)
+    few = fitter.fit(table, "ward", metric="cosine", subset=1024, starts=starts)
+    assert few.status == "converged"
+    usual = fitter.fit(table, "ward", metric="cosine")
+    assert few.metrics["objective"] == pytest.approx(usual.metrics["objective"], rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [np.inf, np.nan, 1e200])
+def test_f15_no_step_is_taken_from_sums_that_are_no_numbers(size):
+    def equations(p):
+        return Normal(np.full((2, 2), size), np.full(2, size), size, 0.0, 0.0)
+
+    end = solve(equations, np.ones(2), np.zeros(2), np.full(2, 2.0), 10)
+    assert (end.passes, end.converged) == (1, False)
