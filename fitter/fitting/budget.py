@@ -97,7 +97,8 @@ def opened(run: Engine, report: progress.Progress) -> tuple[Book, list[str], flo
 
 def choose(book: Book, case: Case, request: FitSpec) -> Choice:
     """The best effort within the budget, or the cheapest that reaches the target. Raises FitError."""
-    options = [(e, cost_model.predict(book, case, e)) for e in case.efforts(request.starts)]
+    efforts = case.efforts(request.starts)
+    options = list(zip(efforts, cost_model.predictions(book, case, efforts), strict=True))
     name = request.model.name
     target, budget = request.target_error, request.budget_seconds
     good = options
@@ -215,7 +216,8 @@ def _account(
 def _ten_times(book: Book, case: Case, choice: Choice, result: FitResult, seconds: float) -> dict[str, Any]:
     """What ten times the seconds would have bought, by the cost model, which knows this fit by now."""
     error = float(result.evidence["search_error"])
-    later = [(effort, cost_model.predict(book, case, effort)) for effort, _ in choice.options]
+    efforts = [effort for effort, _ in choice.options]
+    later = zip(efforts, cost_model.predictions(book, case, efforts), strict=True)
     within = [(e, p) for e, p in later if p.seconds <= 10.0 * seconds]
     here = case.score(choice.effort, error)
     best = min(within, key=lambda option: case.score(option[0], option[1].error), default=None)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -155,13 +156,44 @@ def save(book: Book, file: Path) -> list[str]:
 
 def predict(book: Book, case: Case, effort: Effort) -> Prediction:
     """What a fit with this effort will take."""
+    return predictions(book, case, [effort])[0]
+
+
+def predictions(book: Book, case: Case, efforts: Sequence[Effort]) -> list[Prediction]:
+    """The same for several. What the runs say is worked out once: it takes as long as a small fit."""
     runs = [run for run in book.runs if run.key == case.key]
+    seen = [_Seen.of(book, case, run) for run in runs]
+    return [_predicted(book, case, effort, runs, seen) for effort in efforts]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A run's work by phase, and logarithms of measured over expected seconds where something was done."""
+
+    work: Mapping[Phase, float]
+    ratios: Mapping[Phase, float]
+
+    @staticmethod
+    def of(book: Book, case: Case, run: Run) -> _Seen:
+        effort = Effort(run.subset, run.starts, "full" if run.full else "subset")
+        work = case.sized(run.samples, run.channels).work(effort, run.passes)
+        ratios = {
+            phase: float(np.log(run.seconds[phase] / _prior(book, case.weight[phase], phase, work[phase])))
+            for phase in PHASES
+            if work[phase] > 0 and run.seconds[phase] > 0
+        }
+        return _Seen(work, ratios)
+
+
+def _predicted(
+    book: Book, case: Case, effort: Effort, runs: Sequence[Run], seen: Sequence[_Seen]
+) -> Prediction:
     phases: dict[Phase, float] = {}
     factors: list[float] = []
     work = case.work(effort, _usual_passes(runs))
     for phase in PHASES:
         prior = _prior(book, case.weight[phase], phase, work[phase])
-        ratios = _ratios(book, case, runs, phase, work[phase])
+        ratios = _ratios(seen, phase, work[phase])
         middle = float(np.exp(np.median(ratios))) if len(ratios) else 1.0
         phases[phase] = prior * middle if work[phase] > 0 else 0.0
         off = float(np.exp(np.max(np.abs(ratios - np.median(ratios))))) if len(ratios) > 1 else 1.5
@@ -177,16 +209,13 @@ def _prior(book: Book, weight: float, phase: Phase, work: float) -> float:
     return line.fixed + line.each * weight * work
 
 
-def _ratios(book: Book, case: Case, runs: Sequence[Run], phase: Phase, work: float) -> np.ndarray[Any, Any]:
+def _ratios(seen: Sequence[_Seen], phase: Phase, work: float) -> np.ndarray[Any, Any]:
     """Logarithms of measured over expected seconds of the runs that are nearest in size."""
-    found: list[tuple[float, float]] = []
-    for run in runs:
-        effort = Effort(run.subset, run.starts, "full" if run.full else "subset")
-        there = case.sized(run.samples, run.channels).work(effort, run.passes)[phase]
-        spent = run.seconds[phase]
-        if there > 0 and spent > 0:
-            ratio = spent / _prior(book, case.weight[phase], phase, there)
-            found.append((abs(np.log(max(work, 1.0) / there)), float(np.log(ratio))))
+    found = [
+        (abs(math.log(max(work, 1.0) / run.work[phase])), run.ratios[phase])
+        for run in seen
+        if phase in run.ratios
+    ]
     # The latest first, so that among equals they count: machines change.
     found.reverse()
     found.sort(key=lambda pair: round(pair[0], 1))
