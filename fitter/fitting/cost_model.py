@@ -177,7 +177,7 @@ class _Seen:
     def of(book: Book, case: Case, run: Run) -> _Seen:
         effort = Effort(run.subset, run.starts, "full" if run.full else "subset")
         work = case.sized(run.samples, run.channels).work(effort, run.passes)
-        ratios = {
+        ratios: dict[Phase, float] = {
             phase: float(np.log(run.seconds[phase] / _prior(book, case.weight[phase], phase, work[phase])))
             for phase in PHASES
             if work[phase] > 0 and run.seconds[phase] > 0
