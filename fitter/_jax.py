@@ -57,7 +57,7 @@ def compile_sooner() -> None:
 def options() -> dict[str, bool] | None:
     """The same for one program, as ``jax.jit`` takes it: in a process that is somebody else's, too. Passes
     over a table take half the time with it."""
-    return {_EMITTERS: False} if _is_open() else None
+    return {_EMITTERS: False} if _is_open() and jax.default_backend() == "cpu" else None
 
 
 def _is_open() -> bool:

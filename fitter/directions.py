@@ -17,7 +17,7 @@ from fitter.parts import in_parts
 
 Vectors = Float[np.ndarray, "*n 3"]
 Angles = Float[np.ndarray, "*n"]
-#: Components: angles of shapes that broadcast have one of the common shape each.
+#: Components whose shapes broadcast.
 Parts = Float[np.ndarray, "..."]
 
 

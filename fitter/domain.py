@@ -131,5 +131,7 @@ def _usable_components(table: Table, part: slice) -> FloatArray:
         return np.hstack([table.wi[part][used], table.wo[part][used]]).T
     found = np.empty((6, len(used)))
     width = table.grid.shape[-1]
-    table.grid.row_components(slice(part.start // width, part.stop // width), found)
+    first, last = part.start // width, part.stop // width
+    assert (first * width, last * width) == (part.start, part.stop), "parts are whole rows"
+    table.grid.row_components(np.arange(first, last), found)
     return found if used.all() else found[:, used]

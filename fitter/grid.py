@@ -61,11 +61,11 @@ class Grid:
         """How many rows of the last axis there are."""
         return self.size // self.shape[-1]
 
-    def row_components(self, rows: slice | NDArray[np.intp], out: FloatArray) -> None:
+    def row_components(self, rows: NDArray[np.intp], out: FloatArray) -> None:
         """The components of wi and wo of the cells of whole rows of the last axis into ``out`` (6, cells)."""
         *outer, last = self.axes.values()
         width = len(last)
-        where = np.unravel_index(np.arange(self.rows)[rows], self.shape[:-1])
+        where = np.unravel_index(rows, self.shape[:-1])
         c = [*(axis[i][:, None] for axis, i in zip(outer, where, strict=True)), last[None, :]]
         if self.system == "half_difference":
             by_row = [component.reshape(-1, width) for component in out]

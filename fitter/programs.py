@@ -43,9 +43,12 @@ def kept(*static: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
     """
 
     def decorate(function: Callable[P, R]) -> Callable[..., R]:
-        # Options are for a program of its own, not for a part of another one.
         part = jax.jit(function, static_argnames=static)
-        whole = jax.jit(function, static_argnames=static, compiler_options=options())
+
+        @functools.cache
+        def whole() -> Callable[..., R]:
+            return jax.jit(function, static_argnames=static, compiler_options=options())
+
         names = tuple(inspect.signature(function).parameters)
         told = f"{function.__module__}.{function.__qualname__}"
 
@@ -55,11 +58,12 @@ def kept(*static: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
             ordered = tuple(given[name] for name in names)
             arrays = tuple(given[name] for name in names if name not in static)
             leaves, tree = jax.tree.flatten(arrays)
+            # Part of another program, which has options of its own.
             if any(isinstance(leaf, Tracer) for leaf in leaves):
                 return part(*args, **keywords)
             folder = _folder(ordered)
             if folder is None:
-                return whole(*args, **keywords)
+                return whole()(*args, **keywords)
             shapes = tuple((a.shape, a.dtype, a.weak_type) for a in map(jax.typeof, leaves))
 
             def make() -> export.Exported:

@@ -115,7 +115,7 @@ def over_blocks(work: Callable[[Block], Sequence[Array]], blocks: Blocks) -> lis
     wait for its results take a third longer, for the interpreter's lock.
     """
     done: list[list[FloatArray]] = []
-    # A block must not go before what is computed of it is there: its memory is read in place.
+    # XLA reads a block in place: nothing may write to it before its results are there. So many at a time.
     running: deque[tuple[Block, Sequence[Array]]] = deque()
 
     def take() -> None:

@@ -1,7 +1,7 @@
 """Seconds that JAX spends on tracing and compiling, told apart from the work itself.
 
-JAX reports the end and the length of every trace, lowering and compilation. They nest and, where passes run
-on threads, overlap, so what counts is the time that they cover together.
+JAX reports the end and the length of every trace, lowering and compilation, in the thread that asked for it.
+They nest, so what counts is the time that they cover together.
 """
 
 from __future__ import annotations
@@ -72,13 +72,10 @@ class _Ear:
                 meter.hits += event == _HITS
 
     def _mine(self) -> list[Meter]:
-        """The meters of this thread. A thread without one works for the only fit there is, if there is one
-        only: a pass's thread belongs to whoever started it, which nothing says."""
+        """The meters of this thread."""
         here = threading.get_ident()
         with self._lock:
-            mine = [meter for thread, meter in self._running if thread == here]
-            everyone = [meter for _, meter in self._running]
-        return mine or (everyone if len({thread for thread, _ in self._running}) == 1 else [])
+            return [meter for thread, meter in self._running if thread == here]
 
 
 @functools.cache

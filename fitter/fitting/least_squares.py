@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 #: freedom: 1e-6 is a thousandth of a standard error.
 TOLERANCE = 1e-6
 MAX_PASSES = 60
-#: The square root of the largest number, about.
+#: Products of two sums below this are numbers.
 LARGEST = 1e150
 #: Rounding of the residuals, relative to the fitted values.
 ROUNDING = 1e-15
@@ -81,8 +81,8 @@ def solve(
     def ended(converged: bool) -> Solution[E]:
         return Solution(p, now, passes, converged, rest if learned else np.zeros_like(rest))
 
-    if not _finite(now):
-        # A lobe that a subset left to chance may overflow on all samples: there is no way on from there.
+    if not countable(now):
+        # A lobe that a subset left to chance may overflow on all samples: no step is tried from there.
         return ended(False)
     radius = max(_length(widest * p), 1e-3 * math.sqrt(max(now.objective, 0.0))) or math.inf
     while passes < max_passes:
@@ -103,7 +103,7 @@ def solve(
         then = equations(trial)
         passes += 1
         size = _length(widest * step)
-        finite = _finite(then)
+        finite = countable(then)
         noise = ROUNDING * (now.objective + _length(own * p) * math.sqrt(max(now.objective, 0.0)))
         flat = predicted <= noise
         level = flat and then.objective <= now.objective + noise
@@ -127,7 +127,7 @@ def solve(
     return ended(False)
 
 
-def _finite(now: Equations) -> bool:
+def countable(now: Equations) -> bool:
     """Whether the sums, and products of two of them, are numbers."""
     return bool(now.objective < LARGEST and np.abs(now.matrix).max(initial=0.0) < LARGEST)
 

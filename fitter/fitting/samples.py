@@ -28,6 +28,8 @@ BLOCK = 65_536
 #: Of more samples than this an evenly spaced part stands for all where a typical value, or where the energy
 #: lies, is asked for.
 ENOUGH = 131_072
+#: Fewer rows of a grid than this are no fair part of it.
+FEW_LINES = 256
 #: Turning from one sample to the next, of a turn: azimuths that fill the circle evenly.
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -153,18 +155,17 @@ class Usable:
         """The cells of whole rows of a grid's last axis, as they lie in the table."""
         grid = self.table.grid
         assert grid is not None
-        which, width = np.arange(grid.rows)[lines], grid.shape[-1]
+        width = grid.shape[-1]
+        which = np.arange(*lines.indices(grid.rows)) if isinstance(lines, slice) else lines
         count = len(which) * width
         pair = aligned.empty((6, size))
         grid.row_components(which, pair[:, :count])
         pair[:, count:] = pair[:, count - 1 : count]
-        cells: slice | IntArray
-        if isinstance(lines, slice):
-            cells = slice(int(which[0]) * width, int(which[0]) * width + count)
-        else:
-            cells = (which[:, None] * width + np.arange(width)).reshape(-1)
+        each = (which[:, None] * width + np.arange(width)).reshape(-1)
         if self.turn:
-            pair[:, :count] = self._turned(pair[:, :count], np.arange(grid.size)[cells])
+            pair[:, :count] = self._turned(pair[:, :count], each)
+        # A slice of the table is no copy of it.
+        cells = slice(int(each[0]), int(each[-1]) + 1) if isinstance(lines, slice) else each
         return self._block(channels, pair, cells, self.used[cells])
 
     def _block(
@@ -172,11 +173,12 @@ class Usable:
         used: NDArray[np.bool_] | None = None, scale: FloatArray | None = None,
     ) -> Block:  # fmt: skip
         columns, size = self._columns(channels), pair.shape[1]
-        y = _filled(self.table.value[rows][:, columns].T, used, size, 0.0)
+        values = self.table.value[rows][:, columns]
+        y = _filled(values.T, used, size, 0.0)
         stated = self.table.sigma if self.metric == "measurement" else None
         sigma = None if stated is None else _filled(stated[rows][:, columns].T, used, size, 1.0)
         measure = None if self.measure is None else np.ones(size)
-        count = len(self.table.value[rows])
+        count = len(values)
         if measure is not None and self.measure is not None:
             measure[:count] = self.measure[rows]
         weight = metrics.base_weights(self.metric, sigma, pair[2], measure)
@@ -197,12 +199,13 @@ class Usable:
         grid, step = self.table.grid, max(1, len(self) // ENOUGH)
         if step == 1:
             return every, 1
-        if grid is None or not every.by_lines:
+        if grid is None or not every.by_lines or grid.rows < FEW_LINES * step:
             rows, step = self.evenly(ENOUGH)
             return replace(every, rows=rows), step
         # Whole rows of the grid: to make samples one by one takes ten times as long.
         lines = _spaced(grid.rows, step, grid.shape[-2])
-        return replace(every, lines=lines), grid.rows / len(lines)
+        seen = np.count_nonzero(self.used.reshape(-1, grid.shape[-1])[lines])
+        return replace(every, lines=lines), len(self) / max(1, seen)
 
     def evenly(self, most: int) -> tuple[IntArray, int]:
         """About ``most`` evenly spaced positions at least, and the step between them."""

@@ -17,6 +17,7 @@ from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import curvature, natural
 from fitter.fitting.effort import searched
 from fitter.fitting.layout import Layout
+from fitter.fitting.least_squares import countable
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import Polished, polish
 from fitter.fitting.samples import BLOCK, Block, Blocks, IntArray, Usable, count, padded
@@ -73,8 +74,8 @@ def solve(
     ends = _distinct(ends, count(blocks))
     best = ends[0]
     # On a table of few blocks all of them go on: that costs nothing.
-    limit = math.inf if len(data) <= BLOCK else NEAR * best.normal.objective
-    near = [in_order(places, end.p) for end in ends if end.normal.objective <= limit]
+    limit = math.inf if len(data) <= BLOCK else NEAR * _objective(best)
+    near = [in_order(places, end.p) for end in ends if _objective(end) <= limit]
     evidence["exchange_gain"] = None
     if exchange.wanted(places, request, len(data), len(group)):
         p, evidence["exchange_gain"] = _exchanged(places, data, group, part if small else None, ends)
@@ -157,7 +158,7 @@ def _halfway(
     least = min(map(_objective, ends))
     # Objectives of as many samples differ by chance, but those of the same samples by much less.
     limit = (1.0 + 3.0 / np.sqrt(MIDDLE)) * least
-    rivals = [end for end in _distinct(ends, len(index)) if end.normal.objective <= limit]
+    rivals = [end for end in _distinct(ends, len(index)) if _objective(end) <= limit]
     return [end.p for end in rivals], rivals[0].rest if len(rivals) == 1 else None
 
 
@@ -167,9 +168,12 @@ def _objective(end: Polished) -> float:
 
 
 def _distinct(ends: Sequence[Polished], samples: int) -> list[Polished]:
-    """One end of each optimum, the best first."""
+    """One end of each optimum, the best first; of those whose sums are no numbers one where there is no
+    other."""
     found: list[Polished] = []
     for end in sorted(ends, key=_objective):
+        if found and not countable(end.normal):
+            continue
         if not any(_same(end, other, samples) for other in found):
             found.append(end)
     return found

@@ -11,7 +11,8 @@ import pytest
 import fitter
 from fitter import FitError, SpecError, Table, TableError, models
 from fitter.fitting.least_squares import solve
-from fitter.fitting.polish import Normal
+from fitter.fitting.polish import Normal, Polished
+from fitter.fitting.solving import _distinct
 from tests.bench import tables
 from tests.fitting.conftest import scattered
 
@@ -119,6 +120,18 @@ def test_f15_a_lobe_that_a_subset_left_to_chance_is_dropped(starts):
     assert few.status == "converged"
     usual = fitter.fit(table, "ward", metric="cosine")
     assert few.metrics["objective"] == pytest.approx(usual.metrics["objective"], rel=1e-9)
+
+
+def test_f15_ends_that_overflow_are_none_beside_others():
+    """Nor are two of them compared: their scales are no numbers."""
+
+    def end(p: float, size: float) -> Polished:
+        normal = Normal(np.full((1, 1), size), np.zeros(1), size, 0.0, 0.0)
+        return Polished(np.array([p]), normal, 1, False, np.zeros((1, 1)))
+
+    lost = [end(0.0, np.nan), end(0.0, np.inf), end(1.0, np.inf), end(0.0, 1e200)]
+    assert [e.p[0] for e in _distinct([*lost, end(3.0, 2.0), end(2.0, 1.0)], 10)] == [2.0, 3.0]
+    assert len(_distinct(lost, 10)) == 1
 
 
 @pytest.mark.parametrize("size", [np.inf, np.nan, 1e200])

@@ -14,6 +14,7 @@ from fitter import Table, models
 from fitter.fitting import metrics
 from fitter.fitting.usable import usable
 from fitter.formats.merl import merl_grid
+from fitter.grid import Grid
 from fitter.spec import Select
 from tests.fitting.conftest import TRUTHS, scattered
 
@@ -96,6 +97,18 @@ def test_a_part_of_a_grid_stands_for_all_of_it():
     assert len(set(seen)) == len(seen)
     assert len(seen) * each == pytest.approx(above.sum(), rel=0.01)
     assert total * each == pytest.approx(value[above, 0].sum(), rel=0.01)
+
+
+def test_few_long_rows_are_no_fair_part_of_a_grid():
+    """Of 20 x 20 rows of 1,024 azimuths single samples are taken, from every incidence."""
+    theta = np.linspace(0.05, 1.4, 20)
+    axes = {"theta_i": theta, "theta_o": theta, "dphi": np.linspace(0.0, np.pi, 1024)}
+    grid = Grid("spherical_isotropic", axes)
+    table = Table(grid=grid, value=np.full((grid.size, 1), 0.2))
+    blocks, each = usable(table, "cosine", Select()).blocks_of_some([0])
+    pairs = np.concatenate([block.pair[:, : block.count] for block in blocks], axis=1)
+    assert pairs.shape[1] * each == pytest.approx(grid.size, rel=0.01)
+    assert len(np.unique(np.round(pairs[[2, 5]], 9), axis=1).T) == 400
 
 
 @pytest.mark.parametrize("metric", ["cosine", "log", "cbrt"])
