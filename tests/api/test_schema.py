@@ -152,7 +152,8 @@ def guarded(serving_once: Any, table_bytes: bytes) -> tuple[Any, dict[str, str],
     return client, header, {"tables": table, "models": model}
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.long
+@pytest.mark.parametrize("mode", ["positive", "negative"])
 def test_schemathesis(
     client: Any, table: str, fit: str, model: str, job: dict[str, Any], idle: tuple[Any, dict[str, str]],
     mode: str,

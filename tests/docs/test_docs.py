@@ -40,8 +40,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 SHOWN_ADDRESS = "http://127.0.0.1:8000"
 #: Pages whose commands take longer than ten seconds.
 LONG = {
-    "CONTRIBUTING.md", "batch.md", "command-line.md", "cost.md", "export.md", "http.md", "scenes.md",
-    "uncertainty.md",
+    "CONTRIBUTING.md", "README.md", "batch.md", "command-line.md", "cost.md", "export.md", "http.md",
+    "scenes.md", "uncertainty.md",
 }  # fmt: skip
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#{1,6} (.+)$", re.MULTILINE)

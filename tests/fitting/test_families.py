@@ -57,7 +57,9 @@ def fitted(name: str) -> tuple[models.ReflectanceModel, fitter.Table, fitter.Fit
     return truth, table, fitter.fit(table, truth.spec)
 
 
-@pytest.mark.parametrize("name", NEW)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.long] * (n in ("conductor", "lafortune"))) for n in NEW]
+)
 def test_recovers_the_truth(name):
     new, _, fit = fitted(name)
     assert fit.status == "converged", fit.message

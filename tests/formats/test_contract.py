@@ -162,6 +162,7 @@ def mutations(data: bytes, count: int, seed: int) -> list[bytes]:
     return made
 
 
+@pytest.mark.long
 @each
 def test_fuzz(sample: Sample):
     """Damage gives a TableError with a remedy or a table; no other exception, no warning."""

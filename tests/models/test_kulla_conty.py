@@ -39,6 +39,7 @@ def direction(mu: float) -> np.ndarray:
     return np.array([np.sqrt(1 - mu * mu), 0.0, mu])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ndf", ["ggx", "beckmann"])
 @pytest.mark.parametrize("alpha", [1e-3, 0.01, 0.1, 0.5, 1.0, 2.0])
 def test_white_furnace(ndf: str, alpha: float) -> None:

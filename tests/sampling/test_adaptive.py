@@ -39,6 +39,7 @@ def expected_of(table: Table, wi: np.ndarray) -> np.ndarray:
     return np.bincount(cells.bin_of(wo, *EDGES), value * size, 12 * 24)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("table", TABLES)
 @pytest.mark.parametrize("degree", [0.0, 50.0])
 def test_draws_follow_the_files_interpolant(table: Table, degree: float) -> None:

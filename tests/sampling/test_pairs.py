@@ -27,6 +27,7 @@ def bins_of(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return (index[0] * BINS + index[1]) * BINS + index[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("table", TABLES + ADAPTIVE)
 def test_pairs_follow_the_interpolant(table: Table) -> None:
     sampler = TableSampler(table, cells=40_000 if table.between is None else 1000)
