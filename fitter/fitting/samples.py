@@ -161,11 +161,13 @@ class Usable:
         pair = aligned.empty((6, size))
         grid.row_components(which, pair[:, :count])
         pair[:, count:] = pair[:, count - 1 : count]
-        each = (which[:, None] * width + np.arange(width)).reshape(-1)
-        if self.turn:
-            pair[:, :count] = self._turned(pair[:, :count], each)
         # A slice of the table is no copy of it.
-        cells = slice(int(each[0]), int(each[-1]) + 1) if isinstance(lines, slice) else each
+        cells: slice | IntArray = slice(int(which[0]) * width, int(which[0]) * width + count)
+        if not isinstance(lines, slice):
+            cells = (which[:, None] * width + np.arange(width)).reshape(-1)
+        if self.turn:
+            each = np.arange(cells.start, cells.stop) if isinstance(cells, slice) else cells
+            pair[:, :count] = self._turned(pair[:, :count], each)
         return self._block(channels, pair, cells, self.used[cells])
 
     def _block(

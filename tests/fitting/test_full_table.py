@@ -76,21 +76,24 @@ def test_a_model_that_fits_badly_ends_at_its_optimum_in_a_few_passes():
     assert again.metrics["objective"] == pytest.approx(fit.metrics["objective"], rel=1e-6)
 
 
-def test_a_part_of_a_grid_stands_for_all_of_it():
+@pytest.mark.parametrize("turn", [False, True])
+def test_a_part_of_a_grid_stands_for_all_of_it(turn):
     """Evenly spaced rows: the samples are the table's, none twice, and sums of them the table's."""
     grid = merl_grid((54, 60, 120))
     wi, wo = grid.directions()
     above = (wi[:, 2] > 1e-6) & (wo[:, 2] > 1e-6)
     # Its place in the table is the second value of each sample.
     value = np.stack([0.1 + wi[:, 2], np.arange(len(wi)) + 1.0], axis=1)
-    data = usable(Table(grid=grid, value=value, mask=above), "cosine", Select())
+    data = usable(Table(grid=grid, value=value, mask=above), "cosine", Select(), anisotropic=turn)
+    assert data.turn == turn
     blocks, each = data.blocks_of_some([0, 1])
     assert len(list(blocks)) > 1
     seen, total = [], 0.0
     for block in blocks:
         used = np.flatnonzero(block.weight[0])
         index = block.y[1, used].astype(int) - 1
-        np.testing.assert_allclose(block.pair[:, used], np.concatenate([wi.T, wo.T])[:, index], atol=1e-15)
+        expected = data.pair[:, np.searchsorted(data.index, index)]
+        np.testing.assert_allclose(block.pair[:, used], expected, atol=1e-15)
         seen += index.tolist()
         total += block.y[0, used].sum()
     assert above[seen].all()
