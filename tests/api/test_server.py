@@ -77,6 +77,7 @@ def start(tmp_path: Path) -> Iterator[Callable[[], Server]]:
         server.close()
 
 
+@pytest.mark.long
 def test_jobs_survive_kill(
     start: Callable[[], Server], table_bytes: bytes, wait: Any, tmp_path: Path
 ) -> None:

@@ -29,6 +29,7 @@ STATED = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STATED)
 def test_a_models_table_is_the_model(name: str, tmp_path: Path) -> None:
     entry = target(name)

@@ -68,6 +68,7 @@ def test_recovers_the_truth(name):
     assert np.abs(z).max() < 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["eon", "mixed", "lafortune"])
 def test_stated_noise_explains_the_residuals(name):
     spec, values = NEW[name]

@@ -305,6 +305,7 @@ def rich(table: Table) -> Table:
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*WRITTEN, "rgl"])
 def test_what_does_not_come_back_is_named(base: Table, name: str, tmp_path: Path):
     own = WRITTEN.get(name, (0.0, None))[1]

@@ -68,6 +68,7 @@ def test_delta_of_45_degrees_is_isotropic(gamma: float):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["lafortune:no_diffuse", "lafortune:anisotropic:no_diffuse"])
 def test_albedo_is_at_most_ks(name: str):
     for n in (0.0, 0.5, 3.0, 200.0):

@@ -6,7 +6,9 @@ each verb serves all checks of a model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -38,17 +40,23 @@ DEFAULT_DRAWS = 1 << 16
 DRAWS = {"rough_facets": 1 << 13}
 
 
+def dear(names: Sequence[str]) -> list[Any]:
+    """The names, those marked long whose value is itself a quadrature, a series or a table."""
+    words = ("rough_facets", "he_torrance", "kulla_conty", "layered")
+    return [pytest.param(n, marks=[pytest.mark.long] * any(word in n for word in words)) for n in names]
+
+
 @pytest.fixture(scope="module", params=MODELS)
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module", params=FEWER)
+@pytest.fixture(scope="module", params=dear(FEWER))
 def few(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module", params=DRAWN)
+@pytest.fixture(scope="module", params=dear(DRAWN))
 def drawable(request: pytest.FixtureRequest) -> str:
     return request.param
 

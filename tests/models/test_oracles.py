@@ -35,6 +35,7 @@ def incidence(mu: float) -> list[float]:
     return [np.sqrt((1 - mu) * (1 + mu)), 0.0, mu]
 
 
+@pytest.mark.long
 @pytest.mark.measured
 @pytest.mark.parametrize("prefix", ALBEDOS)
 def test_directional_albedo(shared: Path, prefix: str):

@@ -45,6 +45,7 @@ def test_fujii_has_the_published_albedo(mu: float, albedo: float):
     assert float(model.albedo(direction(mu))[0]) == pytest.approx(albedo, abs=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sigma", [0.0, 1e-8, 0.1, 0.5, 1.0])
 def test_eon_preserves_energy(sigma: float):
     white = models.create("oren_nayar:eon", rho=1.0, sigma=sigma)

@@ -37,6 +37,7 @@ def gained(seed: int, spread: float = 0.05, noise: float = 0.005, incidences: np
     return Table(wi=wi, wo=wo, value=exact * gain[scan][:, None] * own)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("metric", ["cosine", "relative", "cbrt"])
 def test_one_step_is_what_refits_without_a_scan_give(metric):
     """Also where the metric's slope moves with the model: the derivative is exact."""

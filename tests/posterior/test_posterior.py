@@ -26,6 +26,7 @@ def ward():
     return model, table, fit, fitter.posterior(table, fit, **QUICK)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dimension", [2, 9])
 def test_moves_keep_a_correlated_normal(dimension):
     """Standard deviations of a known target to 5 %: emcee's own snooker move misses them by 13 %."""

@@ -163,6 +163,7 @@ def test_noise_that_rises_at_grazing_is_told(stated: bool):
     assert ("stated sigma" in found.sentence) is stated
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("strength", "verdict"), [(0.0, "ok"), (0.05, "notice"), (0.4, "warning")])
 def test_a_surface_taken_for_isotropic_that_is_not(strength: float, verdict: str):
     """f_r that swings with the azimuth of the half vector, measured at four incident azimuths."""

@@ -132,6 +132,7 @@ def test_in_plane_tables_have_the_upper_row_only():
     assert figure.get_figheight() < 6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda one: one.name)
 def test_every_format_can_be_drawn(sample: Sample):
     for one in load_all(sample.data):

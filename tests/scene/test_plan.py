@@ -179,6 +179,7 @@ def true_error(found: Scene, settings: Settings, floor: float, passes: int = 4) 
     return worst
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ggx", "brushed"])
 def test_bounds_are_kept(name: str) -> None:
     shape, light = (BALL, LAMP) if name == "ggx" else (PLANE, SUN)
