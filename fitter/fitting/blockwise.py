@@ -116,7 +116,7 @@ def _best(
         # One start at a time: one program serves every call.
         u, cost, _ = separable.solve_many(alone, start[None], pair, y, weight, moving=moving)
         if np.isfinite(u).all() and float(cost[0]) < least:
-            best, least = np.asarray(u)[0], float(cost[0])
+            best, least = u[0], float(cost[0])
     # Two channels may have found the same surface under different labels.
     return in_order(alone, best) if moving.all() else best
 

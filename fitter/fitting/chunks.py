@@ -129,3 +129,8 @@ def over_blocks(work: Callable[[Block], Sequence[Array]], blocks: Blocks) -> lis
     while running:
         take()
     return done
+
+
+def summed(work: Callable[[Block], Sequence[Array]], blocks: Blocks) -> list[FloatArray]:
+    """The sums over all blocks of what the program that ``work`` calls makes of each."""
+    return [functools.reduce(np.add, parts) for parts in zip(*over_blocks(work, blocks), strict=True)]

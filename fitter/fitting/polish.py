@@ -6,7 +6,6 @@ Jacobian ever exists. The vector is p = [u (T,), inner (M, C) flattened], see :c
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,9 +21,9 @@ from fitter.fitting.chunks import (
     Arrays,
     arrays,
     chunk,
-    over_blocks,
     residual,
     squared_errors,
+    summed,
     values_and_columns,
     with_slopes,
 )
@@ -117,9 +116,7 @@ def normal_equations(
             return _accumulate_alike(layout, u, inner, floor, arrays(block), chunks)
         return _accumulate(layout, metric, u, inner, floor, arrays(block), chunks)
 
-    sums, errors = (
-        functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
-    )  # fmt: skip
+    sums, errors = summed(one, blocks)
     size = len(p)
     matrix, rhs = np.zeros((size, size)), np.zeros(size)
     for channel, where in enumerate(layout.positions(size, c)):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.fitting import rows
-from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks
+from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks, summed
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
 from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
@@ -108,8 +108,8 @@ def _grams(
     them, and the values of the channels of one weight; G = 1 where all have the same."""
     if span.within == "all":
         blocks: Blocks = data.blocks(channels)
-        parts = over_blocks(lambda block: [_sums(layout, span, 1, BLOCK, arrays(block))], blocks)
-        return np.asarray(np.sum([part for (part,) in parts], axis=0))
+        (whole,) = summed(lambda block: [_sums(layout, span, 1, BLOCK, arrays(block))], blocks)
+        return whole
     per_block = BLOCK // slabs.length
     blocks = TableBlocks(data, channels, per_block * slabs.length)
     parts = over_blocks(lambda block: [_sums(layout, span, per_block, slabs.length, arrays(block))], blocks)

@@ -5,7 +5,6 @@ Made in chunks, as in :mod:`fitter.fitting.polish`; the vector is p = [u (T,), i
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,9 +21,9 @@ from fitter.fitting.chunks import (
     arrays,
     chunk,
     of_entries,
-    over_blocks,
     residual,
     squared_errors,
+    summed,
     values_and_columns,
 )
 from fitter.fitting.layout import Layout
@@ -57,8 +56,8 @@ def errors(
         chunks = -(-block.count // CHUNK)
         return _errors(layout, metric, u, inner, floor, arrays(block), chunks)
 
-    sums = functools.reduce(np.add, map(np.hstack, over_blocks(one, blocks)))
-    return Errors(*(float(total) for total in sums))
+    objective, others = summed(one, blocks)
+    return Errors(float(objective), *(float(error) for error in others))
 
 
 @kept("layout", "metric")
@@ -117,9 +116,7 @@ def scores(
         chunks = -(-block.count // CHUNK)
         return _scores(layout, metric, u, inner, floor, bread, alone, influence, arrays(block), chunks)
 
-    outer, (x2, x4), (b, b2) = (
-        functools.reduce(np.add, part) for part in zip(*over_blocks(one, blocks), strict=True)
-    )  # fmt: skip
+    outer, (x2, x4), (b, b2) = summed(one, blocks)
     return Scores(step * outer, _effective(x2, x4, step), _effective(b, b2, step))
 
 
