@@ -27,7 +27,7 @@ from fitter.memory_maps import forget_when_many  # noqa: E402
 
 # Before anything imports them: shapes and types of the numerics' arguments are checked at every call.
 # Not the requests themselves (fit, FitSpec): their own errors are what is tested.
-KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples", "usable")
+KERNELS = ("separable", "polish", "metrics", "covariance", "beam", "samples", "blocks", "usable")
 install_import_hook(
     [
         "fitter.models", "fitter.directions", "fitter.grid", "fitter.masking", "fitter.table",

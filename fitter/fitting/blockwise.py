@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.fitting import beam, candidates, separable
+from fitter.fitting.blocks import Block
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.layout import Layout
 from fitter.fitting.order import in_order
 from fitter.fitting.polish import polish
-from fitter.fitting.samples import Block
 
 FloatArray = NDArray[np.float64]
 #: Candidates by the number of shared and of own parameters; the last for more.

@@ -17,8 +17,8 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.fitting import metrics, rows
+from fitter.fitting.blocks import Block, Blocks
 from fitter.fitting.layout import Layout
-from fitter.fitting.samples import Block, Blocks
 from fitter.spec import Metric
 
 FloatArray = NDArray[np.float64]

@@ -16,10 +16,11 @@ import numpy as np
 
 from fitter.compression import CompressedTable
 from fitter.fitting import candidates, exchange, reduction, search_error
+from fitter.fitting.blocks import padded
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.least_squares import TOLERANCE
-from fitter.fitting.samples import ENOUGH, padded
+from fitter.fitting.samples import ENOUGH
 from fitter.spec import FitSpec, Polish, Solver
 from fitter.table import Table
 

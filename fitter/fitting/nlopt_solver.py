@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from fitter.errors import FitError
 from fitter.fitting import separable
+from fitter.fitting.blocks import Blocks
 from fitter.fitting.layout import Layout
 from fitter.fitting.polish import Normal, Polished, bounds, normal_equations
-from fitter.fitting.samples import Blocks
 from fitter.fitting.search import Basin
 from fitter.spec import Metric
 

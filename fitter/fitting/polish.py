@@ -16,6 +16,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.fitting import metrics, rows, separable
+from fitter.fitting.blocks import BLOCK, Block, Blocks, count
 from fitter.fitting.chunks import (
     CHUNK,
     Arrays,
@@ -29,7 +30,6 @@ from fitter.fitting.chunks import (
 )
 from fitter.fitting.layout import Layout
 from fitter.fitting.least_squares import MAX_PASSES, TOLERANCE, Solution, foretold, solve
-from fitter.fitting.samples import BLOCK, Block, Blocks, count
 from fitter.programs import kept
 from fitter.spec import Metric
 

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.fitting import rows
+from fitter.fitting.blocks import BLOCK, Block, padded
 from fitter.fitting.chunks import CHUNK, Arrays, arrays, over_blocks, summed
 from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import QUADRATIC
-from fitter.fitting.samples import BLOCK, Block, Blocks, TableBlocks, Usable, padded
+from fitter.fitting.samples import Usable
 from fitter.grid import Grid
 from fitter.models.pair import Pair
 from fitter.models.span import Span
@@ -107,11 +108,13 @@ def _grams(
     """(S, G, Q, Q) sums of products of the weighted columns: the terms at the J sets of parameters, K J of
     them, and the values of the channels of one weight; G = 1 where all have the same."""
     if span.within == "all":
-        blocks: Blocks = data.blocks(channels)
-        (whole,) = summed(lambda block: [_sums(layout, span, 1, BLOCK, arrays(block))], blocks)
+        (whole,) = summed(
+            lambda block: [_sums(layout, span, 1, BLOCK, arrays(block))], data.blocks(channels)
+        )
         return whole
+    assert data.table.grid is not None
     per_block = BLOCK // slabs.length
-    blocks = TableBlocks(data, channels, per_block * slabs.length)
+    blocks = data.blocks_of_lines(channels, per_block * slabs.length // data.table.grid.shape[-1])
     parts = over_blocks(lambda block: [_sums(layout, span, per_block, slabs.length, arrays(block))], blocks)
     return np.concatenate([part for (part,) in parts])[: slabs.count]
 

@@ -1,21 +1,18 @@
-"""The usable samples of a table as blocks of component arrays, whole or a weighted subset.
-
-Nothing is expanded beforehand: directions and weights of a block are made when it is asked for, so
-that a fit needs little memory beside the table, whatever its size.
-"""
+"""The usable samples of a table, as blocks of all or of a part of them, or as a weighted subset."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeAlias, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter import directions
 from fitter.fitting import aligned, metrics
+from fitter.fitting.blocks import BLOCK, Block, Blocks, BlocksMade
 from fitter.grid import Grid
 from fitter.spec import Metric, Weighting
 from fitter.summary import Summary
@@ -23,8 +20,6 @@ from fitter.table import Table
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
-#: Samples a block holds. One length for all, so that one program serves every table.
-BLOCK = 65_536
 #: Of more samples than this an evenly spaced part stands for all where a typical value, or where the energy
 #: lies, is asked for.
 ENOUGH = 131_072
@@ -32,40 +27,6 @@ ENOUGH = 131_072
 FEW_LINES = 256
 #: Turning from one sample to the next, of a turn: azimuths that fill the circle evenly.
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-
-
-def padded(samples: int) -> int:
-    """What a subset of so many samples is padded to: a power of two, so that few lengths are compiled for."""
-    return max(1024, 1 << (samples - 1).bit_length())
-
-
-@dataclass(frozen=True)
-class Block:
-    """Samples padded to one length; padding, and what of a grid is not usable, has weight 0.
-
-    Channels come first: three to a row are no length for the processor's vectors.
-
-    pair : (6, B) components of wi and wo. y : (C, B) values.
-    weight : (C, B), or (1, B) where the channels have the same.
-    count : samples that are not padding.
-    """
-
-    pair: FloatArray
-    y: FloatArray
-    weight: FloatArray
-    count: int
-
-
-@runtime_checkable
-class Streamed(Protocol):
-    """Blocks that are made anew on every pass and can't be had one by one. samples : in all of them."""
-
-    @property
-    def samples(self) -> int: ...
-    def __iter__(self) -> Iterator[Block]: ...
-
-
-Blocks: TypeAlias = Sequence[Block] | Streamed
 
 
 @dataclass(frozen=True)
@@ -192,28 +153,46 @@ class Usable:
         return Block(pair, y, weight, count)
 
     def blocks(self, channels: Sequence[int]) -> Blocks:
-        """All samples of the channels."""
-        return TableBlocks(self, tuple(channels))
+        """All samples of the channels: by rows of a grid most of which is used, which is cheaper than picking
+        samples."""
+        grid = self.table.grid
+        if grid is not None and self._by_lines(grid):
+            return self.blocks_of_lines(channels, BLOCK // grid.shape[-1])
+        return BlocksMade(lambda here: self.part(channels, here, BLOCK), len(self), BLOCK, len(self))
+
+    def blocks_of_lines(self, channels: Sequence[int], each: int) -> BlocksMade:
+        """All samples of the channels, by rows of the grid's last axis, ``each`` so many."""
+        assert self.table.grid is not None
+        rows = self.table.grid.rows
+        return BlocksMade(lambda here: self.lines(channels, here, BLOCK), rows, each, len(self))
+
+    def _by_lines(self, grid: Grid) -> bool:
+        return 2 * len(self) >= grid.size and grid.shape[-1] <= BLOCK
 
     def blocks_of_some(self, channels: Sequence[int]) -> tuple[Blocks, float]:
         """Of a large table an evenly spaced part, and how many samples each of it stands for."""
-        every = TableBlocks(self, tuple(channels))
         grid, step = self.table.grid, max(1, len(self) // ENOUGH)
         if step == 1:
-            return every, 1
-        if grid is None or not every.by_lines or grid.rows < FEW_LINES * step:
-            rows, step = self.evenly(ENOUGH)
-            return replace(every, rows=rows), step
-        # Whole rows of the grid: to make samples one by one takes ten times as long.
-        lines = _spaced(grid.rows, step, grid.shape[-2])
-        seen = np.count_nonzero(self.used.reshape(-1, grid.shape[-1])[lines])
-        return replace(every, lines=lines), len(self) / max(1, seen)
+            return self.blocks(channels), 1.0
+        if grid is not None and self._by_lines(grid) and grid.rows >= FEW_LINES * step:
+            # Whole rows of the grid: to make samples one by one takes ten times as long.
+            width = grid.shape[-1]
+            step = _coprime(step, grid.shape[-2])
+            lines = np.arange(step // 2, grid.rows, step)
+            seen = max(1, int(np.count_nonzero(self.used.reshape(-1, width)[lines])))
+            made = BlocksMade(
+                lambda here: self.lines(channels, lines[here], BLOCK), len(lines), BLOCK // width, seen
+            )
+            return made, len(self) / seen
+        rows, step = self.evenly(ENOUGH)
+        made = BlocksMade(lambda here: self.part(channels, rows[here], BLOCK), len(rows), BLOCK, len(rows))
+        return made, step
 
     def evenly(self, most: int) -> tuple[IntArray, int]:
         """About ``most`` evenly spaced positions at least, and the step between them."""
         grid = self.table.grid
-        rows = _spaced(len(self), max(1, len(self) // most), 1 if grid is None else grid.shape[-1])
-        return rows, int(rows[1] - rows[0]) if len(rows) > 1 else 1
+        step = _coprime(max(1, len(self) // most), 1 if grid is None else grid.shape[-1])
+        return np.arange(step // 2, len(self), step), step
 
     def fits_in(self, size: int) -> bool:
         """Whether a subset of so many samples is all of them."""
@@ -266,80 +245,12 @@ def systematic(
     return chosen, weight[chosen] * times / (size * p[chosen])
 
 
-def _spaced(count: int, step: int, width: int) -> IntArray:
-    """Evenly spaced places among ``count``: the largest step up to ``step`` that has no divisor in common
-    with the length of a grid's rows, or the same columns would be met again and again."""
-    while np.gcd(step, width) > 1:
+def _coprime(step: int, width: int) -> int:
+    """The largest step up to ``step`` that has no divisor in common with the length of a grid's rows, or the
+    same columns would be met again and again."""
+    while math.gcd(step, width) > 1:
         step -= 1
-    return np.arange(step // 2, count, step)
-
-
-@dataclass(frozen=True)
-class TableBlocks(Sequence[Block]):
-    """All samples block by block, or those at the positions ``rows``, or the rows ``lines`` of the grid's
-    last axis; each block made when it is asked for.
-
-    cells : how many cells of a grid a block covers, whole rows of its last axis; None leaves it to the table.
-    """
-
-    data: Usable
-    channels: tuple[int, ...]
-    cells: int | None = None
-    rows: IntArray | None = None
-    lines: IntArray | None = None
-
-    @property
-    def samples(self) -> int:
-        """How many there are, of a grid's ``lines`` what is not usable counted."""
-        if self.lines is not None and self.data.table.grid is not None:
-            return len(self.lines) * self.data.table.grid.shape[-1]
-        return len(self.data) if self.rows is None else len(self.rows)
-
-    @property
-    def by_lines(self) -> bool:
-        """Whether blocks are made of a grid's rows: where most of it is used, that is cheaper than picking
-        samples."""
-        grid = self.data.table.grid
-        if grid is None or self.rows is not None:
-            return False
-        return self.cells is not None or (2 * len(self.data) >= grid.size and grid.shape[-1] <= BLOCK)
-
-    def _of(self, grid: Grid) -> tuple[int, int]:
-        """How many rows of the grid there are, and how many make a block."""
-        whole = grid.rows if self.lines is None else len(self.lines)
-        return whole, (self.cells or BLOCK) // grid.shape[-1]
-
-    def __len__(self) -> int:
-        grid = self.data.table.grid
-        if grid is None or not self.by_lines:
-            return -(-self.samples // BLOCK)
-        whole, each = self._of(grid)
-        return -(-whole // each)
-
-    @overload
-    def __getitem__(self, index: int) -> Block: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Block]: ...
-    def __getitem__(self, index: int | slice) -> Block | list[Block]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        if not -len(self) <= index < len(self):
-            raise IndexError(index)
-        k, grid = index % len(self), self.data.table.grid
-        if grid is not None and self.by_lines:
-            whole, each = self._of(grid)
-            here = slice(k * each, min((k + 1) * each, whole))
-            return self.data.lines(self.channels, here if self.lines is None else self.lines[here], BLOCK)
-        here = slice(k * BLOCK, min((k + 1) * BLOCK, self.samples))
-        return self.data.part(self.channels, here if self.rows is None else self.rows[here], BLOCK)
-
-    def __iter__(self) -> Iterator[Block]:
-        return (self[k] for k in range(len(self)))
-
-
-def count(blocks: Blocks) -> int:
-    """The samples of blocks, usable ones where that is known without making them."""
-    return blocks.samples if isinstance(blocks, Streamed) else sum(block.count for block in blocks)
+    return step
 
 
 def _filled(

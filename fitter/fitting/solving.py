@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fitter.errors import FitError
 from fitter.fitting import exchange, metrics, nlopt_solver, reduction, search, separable
+from fitter.fitting.blocks import BLOCK, Block, Blocks, count, padded
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.clock import Clock
 from fitter.fitting.covariance import curvature, natural
@@ -20,7 +21,7 @@ from fitter.fitting.layout import Layout
 from fitter.fitting.least_squares import countable
 from fitter.fitting.order import in_order, order_axes
 from fitter.fitting.polish import Polished, polish
-from fitter.fitting.samples import BLOCK, Block, Blocks, IntArray, Usable, count, padded
+from fitter.fitting.samples import IntArray, Usable
 from fitter.fitting.search_error import search_error
 from fitter.fitting.selection_error import selection_error
 from fitter.fitting.sums import Errors, errors, scores

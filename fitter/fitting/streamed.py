@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fitter.errors import FitError
 from fitter.fitting import metrics
-from fitter.fitting.samples import Block, Blocks, IntArray, Usable, systematic
+from fitter.fitting.blocks import Block, Blocks
+from fitter.fitting.samples import IntArray, Usable, systematic
 from fitter.fitting.usable import usable
 from fitter.large import LargeTable
 from fitter.reservoir import STRATA, strata

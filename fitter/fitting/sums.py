@@ -15,6 +15,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from fitter.fitting import rows, separable
+from fitter.fitting.blocks import Block, Blocks
 from fitter.fitting.chunks import (
     CHUNK,
     Arrays,
@@ -27,7 +28,6 @@ from fitter.fitting.chunks import (
     values_and_columns,
 )
 from fitter.fitting.layout import Layout
-from fitter.fitting.samples import Block, Blocks
 from fitter.programs import kept
 from fitter.spec import Metric
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
+from fitter.fitting.blocks import Block
 from fitter.fitting.layout import Layout
-from fitter.fitting.samples import Block
 from fitter.fitting.sums import sample_scores
 from fitter.quality.measured import features
 from fitter.spec import Metric

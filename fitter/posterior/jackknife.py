@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from fitter.compression import CompressedTable
 from fitter.documents import finite_or_none
 from fitter.fitting import metrics
+from fitter.fitting.blocks import BLOCK, padded
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.covariance import settled, to_natural
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.polish import normal_equations
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, Usable, padded
+from fitter.fitting.samples import Usable
 from fitter.fitting.sums import scan_sums
 from fitter.fitting.usable import usable
 from fitter.posterior.correlated import correlated_outer

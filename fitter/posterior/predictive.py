@@ -21,8 +21,8 @@ from fitter import models
 from fitter.compression import CompressedTable
 from fitter.directions import half_difference_from_vectors, spherical_from_vector
 from fitter.errors import SpecError
+from fitter.fitting.blocks import padded
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import padded
 from fitter.models.labelled import place
 from fitter.models.padded import evaluated
 from fitter.posterior.jackknife import Robust, used_by

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.compression import CompressedTable
+from fitter.fitting.blocks import BLOCK, padded
 from fitter.fitting.chunks import CHUNK
 from fitter.fitting.covariance import settled, to_natural
 from fitter.fitting.layout import channel_groups, layout
 from fitter.fitting.polish import normal_equations
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import BLOCK, padded
 from fitter.fitting.sums import scan_sums
 from fitter.posterior.jackknife import free_curvature, used_by, vector
 from fitter.posterior.offsets import ANGLES, shifted, tangents

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from fitter import directions
-from fitter.fitting.samples import padded
+from fitter.fitting.blocks import padded
 from fitter.models.albedo import quadrature
 from fitter.models.labelled import with_values
 from fitter.models.padded import evaluated

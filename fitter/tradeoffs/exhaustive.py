@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.fitting import separable
+from fitter.fitting.blocks import padded
 from fitter.fitting.layout import Layout, channel_groups, layout
 from fitter.fitting.result import FitResult
-from fitter.fitting.samples import padded
 from fitter.fitting.solving import tangent
 from fitter.fitting.usable import usable
 from fitter.table import Table
