@@ -154,13 +154,9 @@ def save(book: Book, file: Path) -> list[str]:
     return []
 
 
-def predict(book: Book, case: Case, effort: Effort) -> Prediction:
-    """What a fit with this effort will take."""
-    return predictions(book, case, [effort])[0]
-
-
 def predictions(book: Book, case: Case, efforts: Sequence[Effort]) -> list[Prediction]:
-    """The same for several. What the runs say is worked out once: it takes as long as a small fit."""
+    """What a fit with each effort will take. What the runs say is worked out once, which takes as long as a
+    small fit."""
     runs = [run for run in book.runs if run.key == case.key]
     seen = [_Seen.of(book, case, run) for run in runs]
     return [_predicted(book, case, effort, runs, seen) for effort in efforts]

@@ -185,10 +185,10 @@ def run(case: Case, effort: Effort, seconds: float) -> cost_model.Run:
 def test_runs_correct_the_prediction_and_the_file_stays_small(seconds, count):
     case, effort = case_of(100_000), Effort(4096, 3, "full")
     book = Book(machine={}, calibration=CALIBRATION)
-    assert cost_model.predict(book, case, effort).factor == cost_model.UNSEEN
+    assert cost_model.predictions(book, case, [effort])[0].factor == cost_model.UNSEEN
     for _ in range(count):
         book = cost_model.with_run(book, run(case, effort, seconds), [("a", effort)])
-    found = cost_model.predict(book, case, effort)
+    found = cost_model.predictions(book, case, [effort])[0]
     assert found.running == pytest.approx(4 * seconds, rel=0.3)
     assert len(book.runs) <= cost_model.EACH
     assert len(book.compiled) == 1
