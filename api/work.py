@@ -165,7 +165,8 @@ class Worker:
 
         wanted = job.request
         scene = scene_of(wanted["scene"], self._store.get, self._tables)
-        planned = plan(scene, seed=wanted["seed"], progress=progress) if wanted["plan"] else None
+        asked = {name: wanted[name] for name in ("seed", "precision")}
+        planned = plan(scene, progress=progress, **asked) if wanted["plan"] else None
         limits = {name: wanted[name] for name in ("samples", "seconds", "target_error", "seed", "precision")}
         found = render(scene, by=planned, progress=progress, **limits)
         if wanted["layers"]:

@@ -34,7 +34,7 @@ def plan_scene(wanted: schemas.PlanRequest, here: Here) -> Response:
     scene = scene_of(wanted.scene, here.find, here.service.tables)
     # As reports do, it takes every core there is.
     with here.service.report_lock:
-        found = plan(scene, tolerance=wanted.tolerance, seed=wanted.seed)
+        found = plan(scene, tolerance=wanted.tolerance, seed=wanted.seed, precision=wanted.precision)
     return Response(dumps(found.document), media_type="application/json")
 
 

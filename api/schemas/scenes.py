@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from api.schemas.common import ID, Request, Seed
 
@@ -32,6 +32,7 @@ class PlanRequest(Request):
     scene: SceneDocument
     tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     seed: Seed = 0
+    precision: Literal["float32", "float64", "auto"] = "float32"
 
 
 class RenderRequest(Request):
@@ -46,9 +47,17 @@ class RenderRequest(Request):
         None, description="root mean square of the standard errors over F"
     )
     seed: Seed = 0
-    precision: Literal["float32", "float64"] = "float32"
+    precision: Literal["float32", "float64", "auto"] = Field(
+        "float32", description="auto: what the plan finds to do"
+    )
     plan: bool = False
     layers: bool = Field(False, description="one layer in the OpenEXR file for each effect")
+
+    @model_validator(mode="after")
+    def _planned(self) -> Self:
+        if self.precision == "auto" and not self.plan:
+            raise ValueError("precision auto is a plan's choice: ask for plan, or give float32 or float64")
+        return self
 
 
 class PlanDocument(BaseModel):
@@ -58,7 +67,8 @@ class PlanDocument(BaseModel):
 
     kind: Literal["brdf-fitter/plan"]
     tolerance: float
-    bound: float = Field(description="of the error of all that is left out together")
+    bound: float = Field(description="of the error of all that is proved to be small enough, together")
+    estimated: float = Field(description="the error of all that was tried at random points only, together")
     reference: float = Field(description="F: errors are relative to max(L, 0.01 F)")
     decisions: list[dict[str, Any]]
     operations: dict[str, float]

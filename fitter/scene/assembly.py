@@ -27,7 +27,8 @@ Finder = Callable[[MaterialSpec], ReflectanceModel | Table]
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene ready to be planned and rendered; ``of_shape[k]`` is the index of shape k's material."""
+    """A scene ready to be planned and rendered; ``of_shape[k]`` is the index of shape k's material.
+    ``stand_ins[m]`` : what a plan may use in place of material m, with the names of their sources."""
 
     spec: SceneSpec
     geometry: Geometry
@@ -35,6 +36,7 @@ class Scene:
     names: tuple[str, ...]
     materials: tuple[Material, ...]
     of_shape: np.ndarray
+    stand_ins: tuple[tuple[tuple[str, Material], ...], ...]
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -77,9 +79,16 @@ def scene(
     shapes.check_camera(spec, geometry)
     lamps = tuple(lamp(one, spec.channels, folder, k) for k, one in enumerate(spec.lights))
     names = tuple(spec.materials)
-    made = tuple(material(spec.materials[name], spec.channels, name, find) for name in names)
+    made = tuple(material(spec.materials[name].rendered, spec.channels, name, find) for name in names)
+    stand_ins = tuple(
+        tuple(
+            (str(one.fit or one.compressed), material(one, spec.channels, name, find))
+            for one in spec.materials[name].stand_ins
+        )
+        for name in names
+    )
     of_shape = np.array([names.index(shape.material) for shape in spec.shapes], np.int32)
-    return Scene(spec, geometry, lamps, names, made, of_shape)
+    return Scene(spec, geometry, lamps, names, made, of_shape, stand_ins)
 
 
 def material(one: MaterialSpec, channels: tuple[str, ...], name: str, find: Finder | None) -> Material:
@@ -107,7 +116,7 @@ def made_of(found: ReflectanceModel | Table, channels: tuple[str, ...], name: st
     where = f"materials.{name}"
     if isinstance(found, Table):
         return TableMaterial(found, _columns([c.name for c in found.channels], channels, where))
-    return ModelMaterial(_chosen(found, _columns(list(found.channels), channels, where)))
+    return ModelMaterial(chosen(found, _columns(list(found.channels), channels, where)))
 
 
 def _columns(there: list[str], channels: tuple[str, ...], where: str) -> np.ndarray:
@@ -122,7 +131,7 @@ def _columns(there: list[str], channels: tuple[str, ...], where: str) -> np.ndar
     )  # fmt: skip
 
 
-def _chosen(model: ReflectanceModel, columns: np.ndarray) -> ReflectanceModel:
+def chosen(model: ReflectanceModel, columns: np.ndarray) -> ReflectanceModel:
     """The model with these of its channels."""
     if len(columns) == len(model.channels) and (columns == np.arange(len(columns))).all():
         return model

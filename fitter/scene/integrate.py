@@ -6,9 +6,9 @@ weighted by the balance heuristic (E. Veach and L. Guibas 1995); sources without
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,38 +18,62 @@ from numpy.typing import NDArray
 
 from fitter.scene import kernels, lights
 from fitter.scene.assembly import Scene
+from fitter.scene.channels import Merged
 from fitter.scene.kernels import Hit, Shapes
 from fitter.scene.lights import Arriving, Lamp, Sky
-from fitter.scene.materials import Drawn, Material, ModelMaterial, TableMaterial
+from fitter.scene.materials import Drawn, Material, ModelMaterial
 
 
 @dataclass(frozen=True)
 class Settings:
     """What a plan leaves of a scene.
 
-    samples, first, shadows : of each lamp how many samples (with extent), whether it lights what the camera
-    sees (reflections are lit by all), whether shapes may hide it. direct : the materials for light that comes
-    straight from a lamp to what the camera sees; materials : those for all else.
+    samples, points, first, shadows : of each lamp how many samples (with extent), how many points each way
+    stand for it where it lights what the camera sees (0: it is sampled), whether it does light that
+    (reflections are lit by all), whether shapes may hide it. direct : the materials for light that comes
+    straight from a lamp to what the camera sees; materials : those for all else. channels : which are
+    computed, None for all; materials have those.
     """
 
     bounces: int
     samples: tuple[int, ...]
+    points: tuple[int, ...]
     first: tuple[bool, ...]
     shadows: tuple[bool, ...]
     direct: tuple[Material, ...]
     materials: tuple[Material, ...]
+    channels: Merged | None = None
 
     @staticmethod
     def everything(scene: Scene) -> Settings:
         count = len(scene.lamps)
         return Settings(
-            bounces=scene.spec.bounces, samples=(scene.spec.light_samples,) * count, first=(True,) * count,
-            shadows=(True,) * count, direct=scene.materials, materials=scene.materials,
+            bounces=scene.spec.bounces, samples=(scene.spec.light_samples,) * count, points=(0,) * count,
+            first=(True,) * count, shadows=(True,) * count, direct=scene.materials, materials=scene.materials,
         )  # fmt: skip
+
+    def merge(self, channels: Merged) -> Settings:
+        """These, of the channels that are computed."""
+        direct, materials = (tuple(map(channels.material, some)) for some in (self.direct, self.materials))
+        return replace(self, channels=channels, direct=direct, materials=materials)
 
     def lit(self, depth: int) -> list[int]:
         """The lamps that light surfaces at this depth."""
         return [k for k, on in enumerate(self.first) if on or depth > 0]
+
+    def points_at(self, k: int, depth: int) -> int:
+        """The points each way that stand for lamp k at this depth, 0 where it is sampled."""
+        return self.points[k] if depth == 0 else 0
+
+
+class Points(NamedTuple):
+    """Where rays met surfaces: towards the viewer in the surfaces' frames (N, 3), indices of materials (N,),
+    -1 for none, and which there are."""
+
+    hit: Hit
+    v: Array
+    of: Array
+    present: list[int]
 
 
 class Integrator:
@@ -62,11 +86,15 @@ class Integrator:
         # One more shape for rays that meet none.
         owner = np.append(scene.of_shape[scene.geometry.shape], -1)
         self.material_of = jnp.asarray(owner)
-        self.place = [cast(one.place) for one in scene.lamps]
-        self.level = [cast(one.level) for one in scene.lamps]
-        self.frame = [None if one.frame is None else cast(one.frame) for one in scene.lamps]
-        self.half = [None if one.half is None else cast(one.half) for one in scene.lamps]
-        self.skies = {k: Sky.of(one, dtype) for k, one in enumerate(scene.lamps) if one.kind == "environment"}
+        merged = settings.channels
+        self.lamps = scene.lamps if merged is None else tuple(map(merged.lamp, scene.lamps))
+        #: Channels that are computed.
+        self.count = len(scene.spec.channels) if merged is None else len(merged.columns)
+        self.place = [cast(one.place) for one in self.lamps]
+        self.level = [cast(one.level) for one in self.lamps]
+        self.frame = [None if one.frame is None else cast(one.frame) for one in self.lamps]
+        self.half = [None if one.half is None else cast(one.half) for one in self.lamps]
+        self.skies = {k: Sky.of(one, dtype) for k, one in enumerate(self.lamps) if one.kind == "environment"}
         camera = scene.spec.camera
         self.basis, self.eye = cast(kernels.camera_basis(camera)), cast(np.array(camera.position))
         self.size = jnp.asarray([camera.width, camera.height])
@@ -89,22 +117,24 @@ class Integrator:
         skip = jnp.full(len(pixel), -1)
         hit = self.call(kernels.nearest, self.shapes, o, d, skip)
         met = hit.primitive >= 0
-        total = self._seen(o, d, hit.t, None, list(range(len(self.scene.lamps))))
+        total = self._seen(o, d, hit.t, None, list(range(len(self.lamps))))
         throughput = jnp.ones_like(total)
         for depth in range(self.settings.bounces + 1):
             more, o, d, skip, throughput, drawn, hit_next = self._scatter(hit, d, throughput, depth, seed)
             total = total + more
             if drawn is None:
                 break
-            total = total + throughput * self._seen(o, d, hit_next.t, drawn, self.settings.lit(depth))
+            met_lamps = [k for k in self.settings.lit(depth) if not self.settings.points_at(k, depth)]
+            total = total + throughput * self._seen(o, d, hit_next.t, drawn, met_lamps)
             hit = hit_next
-        return np.asarray(total), np.asarray(met)
+        merged, radiance = self.settings.channels, np.asarray(total)
+        return radiance if merged is None else merged.apart(radiance), np.asarray(met)
 
     def _seen(self, o: Array, d: Array, reach: Array, drawn: Drawn | None, lamps: list[int]) -> Array:
         """Radiance of the lamps that rays meet, weighted against having been sampled at the rays' start."""
-        total = jnp.zeros((len(o), len(self.scene.spec.channels)), self.dtype)
+        total = jnp.zeros((len(o), self.count), self.dtype)
         for k in lamps:
-            one, samples = self.scene.lamps[k], self.settings.samples[k]
+            one, samples = self.lamps[k], self.settings.samples[k]
             if one.is_delta:
                 continue
             if one.kind == "area":
@@ -119,17 +149,47 @@ class Integrator:
             total = total + light
         return total
 
-    def _arriving(self, k: int, one: Lamp, point: Array, rng: np.random.Generator) -> Arriving:
+    def points(self, hit: Hit, d: Array) -> Points:
+        """What rays of directions d met."""
+        of = self.material_of[hit.primitive]
+        present = [m for m in range(len(self.settings.materials)) if bool((of == m).any())]
+        return Points(hit, self.call(kernels.to_local, hit.frame, -d), of, present)
+
+    def from_lamp(
+        self,
+        k: int,
+        at: Points,
+        u: NDArray[np.float64] | None,
+        materials: tuple[Material, ...],
+        share: float,
+        *,
+        mis: bool = False,
+    ) -> Array:
+        """Radiance (N, C) that points send back of lamp k, from where u (N or 1, 2) says on lamps with
+        extent: of ``share``, one over the samples that there are; ``mis`` : weighted against the materials'
+        own directions."""
+        one = self.lamps[k]
+        arriving = self._arriving(k, one, at.hit.point, u)
+        l = self.call(kernels.to_local, at.hit.frame, arriving.towards)
+        f, pdf = self._values(materials, at, l, mis=mis)
+        part = self.call(_direct, f, arriving, pdf, 1.0 / share)
+        if not self.settings.shadows[k]:
+            return part
+        dark = self.call(
+            kernels.hidden, self.shapes, at.hit.point, arriving.towards, at.hit.primitive, arriving.distance
+        )
+        return jnp.where(dark[:, None], 0.0, part)
+
+    def _arriving(self, k: int, one: Lamp, point: Array, u: NDArray[np.float64] | None) -> Arriving:
         if one.kind == "directional":
             return self.call(lights.from_directional, self.place[k], self.level[k], point)
         if one.kind == "point":
             return self.call(lights.from_point, self.place[k], self.level[k], point)
-        u = jnp.asarray(rng.random((len(point), 2)), self.dtype)
+        drawn = jnp.asarray(u, self.dtype)
         if one.kind == "area":
-            return self.call(
-                lights.from_area, self.place[k], self.frame[k], self.half[k], self.level[k], point, u
-            )
-        return self.call(lights.from_sky, self.skies[k], u)
+            lamp = self.place[k], self.frame[k], self.half[k], self.level[k]
+            return self.call(lights.from_area, *lamp, point, drawn)
+        return self.call(lights.from_sky, self.skies[k], drawn)
 
     def _scatter(
         self, hit: Hit, d: Array, throughput: Array, depth: int, seed: tuple[int, ...]
@@ -138,72 +198,70 @@ class Integrator:
         primitive, throughput, how they were drawn and what they meet."""
         settings, n = self.settings, len(d)
         materials = settings.direct if depth == 0 else settings.materials
-        of = self.material_of[hit.primitive]
-        v = self.call(kernels.to_local, hit.frame, -d)
-        present = [m for m in range(len(materials)) if bool((of == m).any())]
-        total = jnp.zeros_like(throughput)
+        at = self.points(hit, d)
+        total, sampled = jnp.zeros_like(throughput), False
         for k in settings.lit(depth):
-            one, samples, shadow = self.scene.lamps[k], settings.samples[k], settings.shadows[k]
-            rng = _random(seed, depth + 1, k + 1)
-            for _ in range(1 if one.is_delta else samples):
-                arriving = self._arriving(k, one, hit.point, rng)
-                l = self.call(kernels.to_local, hit.frame, arriving.towards)
-                f, pdf = self._values(materials, present, of, l, v, mis=not one.is_delta)
-                part = self.call(_direct, throughput, f, arriving, pdf, 1 if one.is_delta else samples)
-                if shadow:
-                    dark = self.call(
-                        kernels.hidden,
-                        self.shapes,
-                        hit.point,
-                        arriving.towards,
-                        hit.primitive,
-                        arriving.distance,
-                    )
-                    part = jnp.where(dark[:, None], 0.0, part)
-                total = total + part
-        last = depth == settings.bounces
-        if last and all(self.scene.lamps[k].is_delta for k in settings.lit(depth)):
+            if self.lamps[k].is_delta:
+                total = total + self.from_lamp(k, at, None, materials, 1.0)
+            elif each_way := settings.points_at(k, depth):
+                for u, share in lights.points(each_way):
+                    total = total + self.from_lamp(k, at, u, materials, share)
+            else:
+                rng, sampled = _random(seed, depth + 1, k + 1), True
+                for _ in range(settings.samples[k]):
+                    u, share = rng.random((n, 2)), 1.0 / settings.samples[k]
+                    total = total + self.from_lamp(k, at, u, materials, share, mis=True)
+        total = throughput * total
+        if depth == settings.bounces and not sampled:
             return total, hit.point, d, hit.primitive, throughput, None, hit
-        drawn = self._draw(settings.materials, present, of, v, _random(seed, depth + 1, 0), n)
+        drawn = self._draw(settings.materials, at, _random(seed, depth + 1, 0), n)
         out = self.call(kernels.to_world, hit.frame, jnp.asarray(drawn.towards, self.dtype))
         throughput = throughput * jnp.asarray(drawn.weight, self.dtype)
         onward = self.call(kernels.nearest, self.shapes, hit.point, out, hit.primitive)
         return total, hit.point, out, hit.primitive, throughput, drawn, onward
 
     def _values(
-        self, materials: tuple[Material, ...], present: list[int], of: Array, l: Array, v: Array, *, mis: bool
+        self, materials: tuple[Material, ...], at: Points, l: Array, *, mis: bool
     ) -> tuple[Array, Array]:
-        """f |cos| (N, C) and the density of drawing l, 0 where it isn't wanted."""
-        total = jnp.zeros((len(l), len(self.scene.spec.channels)), self.dtype)
+        """f |cos| (N, C) and the density of drawing l (of what is drawn from), 0 where it isn't wanted."""
+        v = at.v
+        total = jnp.zeros((len(l), self.count), self.dtype)
         density = jnp.zeros(len(l), self.dtype)
-        for m in present:
-            one, lanes = materials[m], of == m
-            if isinstance(one, TableMaterial):
-                chosen = np.flatnonzero(np.asarray(lanes))
-                found, some = np.zeros(total.shape), np.zeros(len(l))
-                ll, vv = np.asarray(l)[chosen], np.asarray(v)[chosen]
-                found[chosen] = one.value(ll, vv)
-                if mis:
-                    some[chosen] = one.pdf(ll, vv)
-                total, density = total + found.astype(self.dtype), density + some.astype(self.dtype)
+        for m in at.present:
+            lanes = at.of == m
+            chosen = np.flatnonzero(np.asarray(lanes))
+
+            def of_some(
+                verb: Any, rest: tuple[int, ...] = (), chosen: NDArray[np.intp] = chosen
+            ) -> NDArray[Any]:  # fmt: skip
+                found = np.zeros((len(l), *rest))
+                found[chosen] = verb(np.asarray(l)[chosen], np.asarray(v)[chosen])
+                return found.astype(self.dtype)
+
+            one, drawn_by = materials[m], self.settings.materials[m]
+            if isinstance(one, ModelMaterial):
+                kernel, given = one.value_call(l, v)
+                total = jnp.where(lanes[:, None], self.call(kernel, *given), total)
+            else:
+                total = total + of_some(one.value, total.shape[1:])
+            if not mis:
                 continue
-            assert isinstance(one, ModelMaterial)
-            kernel, given = one.value_call(l, v)
-            total = jnp.where(lanes[:, None], self.call(kernel, *given), total)
-            if mis:
-                kernel, given = one.pdf_call(l, v)
+            if isinstance(drawn_by, ModelMaterial):
+                kernel, given = drawn_by.pdf_call(l, v)
                 density = jnp.where(lanes, self.call(kernel, *given), density)
+            else:
+                density = density + of_some(drawn_by.pdf)
         return total, density
 
     def _draw(
-        self, materials: tuple[Material, ...], present: list[int], of: Array, v: Array,
-        rng: np.random.Generator, n: int,
-    ) -> Drawn:  # fmt: skip
+        self, materials: tuple[Material, ...], at: Points, rng: np.random.Generator, n: int
+    ) -> Drawn:
+        v = at.v
         towards = jnp.zeros((n, 3), self.dtype).at[:, 2].set(1.0)
-        weight = jnp.zeros((n, len(self.scene.spec.channels)), self.dtype)
+        weight = jnp.zeros((n, self.count), self.dtype)
         pdf, ideal = jnp.zeros(n, self.dtype), jnp.zeros(n, bool)
-        for m in present:
-            one, lanes = materials[m], of == m
+        for m in at.present:
+            one, lanes = materials[m], at.of == m
             if isinstance(one, ModelMaterial):
                 kernel, given = one.draw_call(v, rng)
                 drawn = self.call(kernel, *given)
@@ -237,8 +295,8 @@ def _share(own: Array, other: Array, samples: int, ideal: Array) -> Array:
 
 
 @jax.jit
-def _direct(throughput: Array, f: Array, arriving: Arriving, pdf: Array, samples: int) -> Array:
+def _direct(f: Array, arriving: Arriving, pdf: Array, samples: float) -> Array:
     """The share (N, C) of one of ``samples`` of a lamp; ``pdf`` is the material's density there."""
     some = arriving.pdf > 0
     weight = jnp.where(some, 1.0 / (samples + pdf / jnp.where(some, arriving.pdf, 1.0)), 1.0 / samples)
-    return throughput * f * arriving.light * weight[:, None]
+    return f * arriving.light * weight[:, None]

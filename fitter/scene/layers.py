@@ -26,7 +26,7 @@ def settings_without(scene: Scene) -> Mapping[str, Settings]:
         if not isinstance(one, ModelMaterial):
             continue
         for effect in effects.effects(one.model):
-            less = replace(one, off=frozenset({effect}), constants=constants_of(scene, m))
+            less = replace(one, off=frozenset({effect}), constants=constants_of(scene, m, one))
             direct = (*full.direct[:m], less, *full.direct[m + 1 :])
             found[f"{name}.{effect}"] = replace(full, direct=direct)
     for k in range(len(scene.lamps)):

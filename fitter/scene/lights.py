@@ -104,7 +104,7 @@ def from_point(place: Array, level: Array, point: Array) -> Arriving:
 
 @jax.jit
 def from_area(place: Array, frame: Array, half: Array, level: Array, point: Array, u: Array) -> Arriving:
-    """Uniform on the rectangle, u (N, 2)."""
+    """Uniform on the rectangle, u (N or 1, 2)."""
     at = (2.0 * u - 1.0) * half
     away = place + at[:, :1] * frame[0] + at[:, 1:] * frame[1] - point
     squared = jnp.maximum(jnp.sum(away * away, axis=1), 1e-12)
@@ -115,6 +115,16 @@ def from_area(place: Array, frame: Array, half: Array, level: Array, point: Arra
     density = jnp.where(faces, squared / (jnp.where(faces, cosine, 1.0) * 4.0 * half[0] * half[1]), 0.0)
     light = jnp.where(faces, 1.0 / jnp.where(faces, density, 1.0), 0.0)[:, None] * level
     return Arriving(towards, distance, light, density)
+
+
+def points(each_way: int, panels: int = 1) -> list[tuple[FloatArray, float]]:
+    """Points (1, 2) of a rectangle, in place of random u, and the share of its light each stands for: the
+    product rule of Gauss and Legendre, on panels x panels parts of it."""
+    x, w = np.polynomial.legendre.leggauss(each_way)
+    x = ((0.5 * (1.0 + x) + np.arange(panels)[:, None]) / panels).reshape(-1)
+    w = np.tile(0.5 * w / panels, panels)
+    ends = list(zip(x, w, strict=True))
+    return [(np.array([[a, b]]), float(p * q)) for a, p in ends for b, q in ends]
 
 
 @jax.jit

@@ -75,6 +75,12 @@ class ModelMaterial:
     def transmits(self) -> bool:
         return self.model.transmits(self.model.spec)
 
+    @property
+    def has_ideal(self) -> bool:
+        """Whether part of what it sends back goes in one direction."""
+        up = jnp.zeros(()), jnp.zeros(()), jnp.ones(())
+        return bool(self.model.deltas(self.model.spec, self.model.values, *up))
+
     def value(self, l: Array, v: Array) -> Array:
         kernel, given = self.value_call(l, v)
         return kernel(*given)
@@ -199,6 +205,11 @@ class TableMaterial:
         self._incidences = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
         self._sampler: TableSampler | None = None
         self._usable: NDArray[np.bool_] | None = None
+
+    @property
+    def single(self) -> bool:
+        """Whether one column serves all channels of the scene."""
+        return len(self._columns) == 1
 
     def _ready(self) -> NDArray[np.bool_]:
         """(K,) the incidences that can be drawn at; their envelopes are made when first needed."""

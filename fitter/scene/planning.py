@@ -6,20 +6,21 @@ import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
-from fitter.scene import effects, factors, occlusion, operations, wording
+from fitter.scene import channels, effects, estimates, factors, occlusion, operations, wording
 from fitter.scene.assembly import Scene
+from fitter.scene.channels import Merged
 from fitter.scene.criteria import Criteria
 from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
-from fitter.scene.rendering import BATCH, padded, reference
+from fitter.scene.rendering import BATCH, Precision, padded, reference
 from fitter.scene.search import Decision, decide, hull
 from fitter.scene.surfaces import Angles, Boxes, Surfaces
 
@@ -40,18 +41,35 @@ class Plan:
     document: Mapping[str, Any]
 
 
-def plan(scene: Scene, *, tolerance: float | None = None, seed: int = 0, progress: Progress = ignore) -> Plan:
+def plan(
+    scene: Scene,
+    *,
+    tolerance: float | None = None,
+    seed: int = 0,
+    precision: Precision | Literal["auto"] = "float32",
+    progress: Progress = ignore,
+) -> Plan:
     """Which effects of the scene stay below ``tolerance`` (default: the scene's) together, everywhere.
 
-    The error of a point of the picture is |L - L'| / max(L, 0.01 F), the largest of its channels.
+    The error of a point of the picture is |L - L'| / max(L, 0.01 F), the largest of its channels. precision :
+    "auto" tries whether float32 differs from float64 by more than what the effects leave of the tolerance,
+    which takes the compilation of the scene's kernels in float64.
     """
     began = time.perf_counter()
     progress(0.0, "pre-pass")
-    floor = prepass(scene, seed)
+    rows = min(BATCH, padded(scene.spec.camera.width * scene.spec.camera.height))
+    floor = prepass(scene, seed, rows)
     after = time.perf_counter()
-    planner = _Planner(scene, scene.spec.tolerance if tolerance is None else tolerance, floor)
-    settings, decisions, bound = planner.run(progress)
+    planner = _Planner(scene, scene.spec.tolerance if tolerance is None else tolerance, floor, seed, rows)
+    settings, decisions = planner.run(progress)
     planned = time.perf_counter()
+    if precision == "auto":
+        tried = estimates.precision(scene, floor * FLOOR, seed, rows)
+        single = tried.found <= planner.left
+        decisions.append(estimates.of_precision(tried, single))
+        planner.spend(tried.found if single else 0.0, estimated=True)
+        precision = "float32" if single else "float64"
+    compared = time.perf_counter()
     everything = Settings.everything(scene)
     progress(0.9, "counting operations")
     counted = {
@@ -60,31 +78,33 @@ def plan(scene: Scene, *, tolerance: float | None = None, seed: int = 0, progres
     }
     counts = {**counted, "saved": counted["all"] / max(counted["planned"], 1.0)}
     document = {
-        "kind": KIND, "tolerance": planner.tolerance, "bound": bound, "reference": floor, "floor": FLOOR,
-        "seed": seed, "decisions": decisions, "operations": counts,
+        "kind": KIND, "tolerance": planner.tolerance, "bound": planner.bounded,
+        "estimated": planner.estimated, "reference": floor, "floor": FLOOR, "seed": seed,
+        "precision": precision, "decisions": decisions, "operations": counts,
         "seconds": {
-            "prepass": after - began, "planning": planned - after, "counting": time.perf_counter() - planned,
+            "prepass": after - began, "planning": planned - after, "precision": compared - planned,
+            "counting": time.perf_counter() - compared,
         },
     }  # fmt: skip
     return Plan(settings, document)
 
 
-def prepass(scene: Scene, seed: int) -> float:
+def prepass(scene: Scene, seed: int, rows: int) -> float:
     """F: the mean over pixels that show a shape of the radiance, of one sample each, clipped at its 99th
     percentile."""
     total = scene.spec.camera.width * scene.spec.camera.height
-    size = min(BATCH, padded(total))
-    pixel = np.linspace(0, total - 1, size).astype(np.intp)
+    pixel = np.linspace(0, total - 1, rows).astype(np.intp)
     found, met = Integrator(scene, Settings.everything(scene), np.dtype(np.float32)).batch(
         pixel, (seed, 2**31)
     )
     return reference(found[None].astype(np.float64), met[None].astype(np.float64))
 
 
-def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict[str, Any]:
-    """What replaces the Fresnel term of a material: per channel the value whose largest relative error over
-    the scene is least."""
-    one = scene.materials[m]
+def constants_of(
+    scene: Scene, m: int, one: Material, surfaces: Surfaces | None = None
+) -> dict[str, Any]:  # fmt: skip
+    """What replaces the Fresnel term of ``one`` in place of material m: per channel the value whose largest
+    relative error over the scene is least."""
     if not isinstance(one, ModelMaterial) or "fresnel" not in effects.effects(one.model):
         return {}
     surfaces = surfaces or Surfaces(scene)
@@ -106,8 +126,11 @@ def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict
 
 
 class _Planner:
-    def __init__(self, scene: Scene, tolerance: float, floor: float) -> None:
+    def __init__(self, scene: Scene, tolerance: float, floor: float, seed: int, rows: int) -> None:
         self.scene, self.tolerance, self.floor = scene, tolerance, floor * FLOOR
+        self.seed, self.rows = seed, rows
+        #: Errors so far, together: those that are bounded, and those that are estimated.
+        self.bounded = self.estimated = 0.0
         self.surfaces = Surfaces(scene)
         self.criteria = Criteria(scene, self.surfaces, self.floor)
         self.lamps = tuple(range(len(scene.lamps)))
@@ -115,26 +138,54 @@ class _Planner:
         self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
         self.clear = [found for found, *_ in self.proofs]
 
-    def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]], float]:
+    def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]]]:
         decisions: list[dict[str, Any]] = []
-        everything = Settings.everything(self.scene)
+        scene, everything = self.scene, Settings.everything(self.scene)
         # Lamps first: each costs a whole evaluation of every material.
         dark, spent = self._dark(decisions)
-        progress(0.2, "materials")
-        direct: list[Material] = []
-        worst = 0.0
-        for m, one in enumerate(self.scene.materials):
-            chosen, bound = self._material(m, one, self.tolerance - spent, decisions)
-            direct.append(chosen)
-            worst = max(worst, bound)
-        progress(0.7, "shadows and bounces")
+        self.spend(spent)
         shadows = tuple(self._shadow(k, decisions) for k in self.lamps)
         bounces = self._bounces(decisions)
+        merged: Merged | None = None
+        if len(scene.spec.channels) > 1:
+            # What few channels save is little beside what else the tolerance buys.
+            merged, error = channels.merged(scene, bounces, 0.25 * self.left)
+            decisions.append(channels.decision(scene, merged, error))
+            self.spend(error)
         settings = replace(
-            everything, first=tuple(k not in dark for k in self.lamps), shadows=shadows, bounces=bounces,
-            direct=tuple(direct),
-        )  # fmt: skip
-        return settings, decisions, spent + worst
+            everything, first=tuple(k not in dark for k in self.lamps), shadows=shadows, bounces=bounces
+        )
+        progress(0.2, "points of lamps")
+        probe = estimates.Probe(scene, replace(settings, bounces=0), self.floor, self.seed, self.rows)
+        points, found, error = estimates.lamps(probe, self.left)
+        decisions += found
+        self.spend(error, estimated=True)
+        progress(0.3, "materials")
+        materials, found, error = estimates.stand_ins(probe, self.left)
+        decisions += found
+        self.spend(error, estimated=True)
+        direct: list[Material] = []
+        worst = 0.0
+        left = self.left
+        for m, one in enumerate(materials):
+            chosen, bound = self._material(m, one, left, decisions)
+            direct.append(chosen)
+            worst = max(worst, bound)
+        self.spend(worst)
+        settings = replace(settings, points=points, direct=tuple(direct))
+        return settings if merged is None else settings.merge(merged), decisions
+
+    @property
+    def left(self) -> float:
+        """What of the tolerance is not spent: errors of steps that follow one another, each relative to what
+        the steps before it left, multiply up."""
+        return (1.0 + self.tolerance) / ((1.0 + self.bounded) * (1.0 + self.estimated)) - 1.0
+
+    def spend(self, error: float, *, estimated: bool = False) -> None:
+        if estimated:
+            self.estimated += error * (1.0 + self.estimated)
+        else:
+            self.bounded += error * (1.0 + self.bounded)
 
     # Materials --------------------------------------------------------------------------------------
 
@@ -151,7 +202,7 @@ class _Planner:
             decisions.append(wording.kept(name, "all", why))
             return one, 0.0
         start = self.surfaces.start(m, self.lamps)
-        constants = constants_of(self.scene, m, self.surfaces)
+        constants = constants_of(self.scene, m, one, self.surfaces)
         full = operations.of_material(one)
         single: dict[str, Decision] = {}
         saved: dict[str, float] = {}

@@ -91,16 +91,19 @@ def render(
     seconds: float | None = None,
     target_error: float | None = None,
     seed: int = 0,
-    precision: Precision = "float32",
+    precision: Precision | Literal["auto"] = "float32",
     by: Plan | None = None,
     settings: Settings | None = None,
     progress: Progress = ignore,
 ) -> Picture:
     """Render until ``samples`` of each pixel, ``seconds``, or ``target_error`` (see :attr:`Picture.error`),
     whichever comes first; 16 samples where none is given. The same seed and number of samples give the same
-    picture. ``by`` a plan, which is kept with the picture; ``settings`` are its or made by hand. Raises
-    SpecError: a limit that makes no sense; Cancelled.
+    picture. ``by`` a plan, which is kept with the picture; ``settings`` are its or made by hand; precision
+    "auto" is what the plan chose. Raises SpecError: a limit that makes no sense, "auto" without a plan;
+    Cancelled.
     """
+    if precision == "auto":
+        precision = _planned(by)
     limits = {"samples": samples, "seconds": seconds, "target_error": target_error}
     for name, limit in limits.items():
         if limit is not None and not 0 < limit < float("inf"):
@@ -159,6 +162,15 @@ def render(
         scene.spec.channels, done, spent, seed, precision, stopped, history, _notes(scene), tables,
         None if by is None else dict(by.document),
     )  # fmt: skip
+
+
+def _planned(by: Plan | None) -> Precision:
+    if by is None:
+        raise SpecError(
+            "a plan chooses the precision, and there is none", code="no-plan", parameter="precision",
+            remedy="plan first (`scene render --plan`), or give float32 or float64",
+        )  # fmt: skip
+    return by.document["precision"]
 
 
 def padded(total: int) -> int:

@@ -71,7 +71,10 @@ class Camera(Frozen):
 
 
 class Material(Frozen):
-    """What a shape is made of: exactly one of ``fit``, ``table``, ``compressed`` and ``model``.
+    """What a shape is made of: one of ``fit``, ``table``, ``compressed`` and ``model``.
+
+    Beside a ``table`` a ``compressed`` one and a ``fit`` may be given, and beside a compressed one a fit: a
+    plan may use them in its place (:attr:`stand_ins`).
 
     fit : a result file that ``brdf-fitter fit --out`` wrote.
     table : a measured table, read with ``options`` (quantity, convention, ...), drawn from as it is.
@@ -91,13 +94,33 @@ class Material(Frozen):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         given = [name for name in ("fit", "table", "compressed", "model") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give exactly one of fit, table, compressed and model, not {len(given)}")
+        if not given or (self.model is not None and len(given) > 1):
+            raise ValueError(
+                f"give exactly one of fit, table, compressed and model, not {len(given)} (only beside a "
+                "table its compressed form and a fit may stand)"
+            )
         if self.values and self.model is None:
             raise ValueError("values belong to a model that is given inline")
         if self.options and self.table is None:
             raise ValueError("options are those that a table is read with")
         return self
+
+    @property
+    def rendered(self) -> Material:
+        """What it is, alone."""
+        return self._only("table" if self.table else "compressed") if self.table or self.compressed else self
+
+    @property
+    def stand_ins(self) -> tuple[Material, ...]:
+        """What may take its place, the cheapest first."""
+        fit = [self._only("fit")] if self.fit and (self.table or self.compressed) else []
+        return (*fit, *([self._only("compressed")] if self.compressed and self.table else []))
+
+    def _only(self, name: str) -> Material:
+        kept = {name, "options"} if name == "table" else {name}
+        default = {key: field.get_default(call_default_factory=True) for key, field in
+            type(self).model_fields.items() if key not in kept}  # fmt: skip
+        return self.model_copy(update=default)
 
 
 class _Flat(Frozen):

@@ -53,6 +53,10 @@ def test_bad_scenes(client: Any) -> None:
             answer = client.post(f"/v1/scenes/{path}", json={"scene": wrong})
             assert answer.status_code == status, answer.text
             assert answer.headers["content-type"] == "application/problem+json"
+    # A precision that a plan chooses, without a plan.
+    answer = client.post("/v1/scenes/render", json={"scene": small(), "precision": "auto"})
+    assert answer.status_code == 422
+    assert "ask for plan" in answer.text
     for part in ("", "/picture.exr", "/picture.png"):
         assert client.get(f"/v1/scenes/{'0' * 32}{part}").status_code == 404
 

@@ -35,8 +35,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of all that is drawn (default: 0)")
     parser.add_argument(
-        "--precision", choices=("float32", "float64"), default="float32", help="of the kernels"
-    )
+        "--precision", choices=("float32", "float64", "auto"), default="float32",
+        help="of the kernels; auto: what a plan finds to do",
+    )  # fmt: skip
     parser.add_argument(
         "--tolerance", type=share, metavar="E", help="of the plan, as 1%% (default: the scene's)"
     )
@@ -91,7 +92,7 @@ def _render(given: argparse.Namespace, screen: Screen) -> Outcome:
     planned = None
     if given.plan:
         with screen.progress("plan") as progress:
-            planned = plan(scene, tolerance=given.tolerance, seed=given.seed, progress=progress)
+            planned = plan(scene, progress=progress, **_of_plan(given))
     with screen.progress("render") as progress:
         picture = render(scene, by=planned, progress=progress, **_limits(given))
     if given.layers:
@@ -107,6 +108,10 @@ def _render(given: argparse.Namespace, screen: Screen) -> Outcome:
             screen.line(f"written: {', '.join(map(str, written))}")
 
     return Outcome({**picture.to_dict(), "paths": [str(path) for path in written]}, show)
+
+
+def _of_plan(given: argparse.Namespace) -> dict[str, Any]:
+    return {"tolerance": given.tolerance, "seed": given.seed, "precision": given.precision}
 
 
 def _limits(given: argparse.Namespace) -> dict[str, Any]:
@@ -126,7 +131,7 @@ def _plan(given: argparse.Namespace, screen: Screen) -> Outcome:
 
     scene = load_scene(given.scene)
     with screen.progress("plan") as progress:
-        document = dict(plan(scene, tolerance=given.tolerance, seed=given.seed, progress=progress).document)
+        document = dict(plan(scene, progress=progress, **_of_plan(given)).document)
     if out is not None:
         write_document(document, out / "plan.json")
 
@@ -146,9 +151,10 @@ def show_plan(document: Mapping[str, Any], screen: Screen) -> None:
     ]
     screen.table(("effect", "of", "", "", "why"), rows)
     operations = document["operations"]
-    bound, tolerance = 100 * document["bound"], 100 * document["tolerance"]
+    bound, estimated, tolerance = (100 * document[name] for name in ("bound", "estimated", "tolerance"))
+    more = f" as proved, and {estimated:.2g} % as estimated" if estimated else ""
     screen.line(
-        f"together at most {bound:.2g} % off (tolerance {tolerance:.2g} %, of max(L, 0.01 F), "
+        f"together at most {bound:.2g} % off{more} (tolerance {tolerance:.2g} %, of max(L, 0.01 F), "
         f"F = {document['reference']:.4g})"
     )
     screen.line(

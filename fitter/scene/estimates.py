@@ -1,0 +1,209 @@
+"""Substitutes that no bound is known of, judged at random points of the picture: estimated, never bounded.
+
+Of N points whose largest error is found, the probability that a share s of all points is further off is at
+most (1 - s)^N; with N given the share is told that this makes 1 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from fitter.scene import kernels, lights
+from fitter.scene.assembly import Scene
+from fitter.scene.integrate import Integrator, Points, Settings
+from fitter.scene.kernels import Hit
+from fitter.scene.materials import Material, ModelMaterial
+
+FloatArray = NDArray[np.float64]
+
+#: Points of the picture that are tried, rays that may be spent to find them, and how sure the
+#: share of points is that is told.
+_POINTS, _RAYS, CONFIDENCE = 1024, 1 << 16, 0.99
+#: Points each way and panels of a lamp that what stands for it is compared with, and by which materials are.
+_FINE, _COARSE = (2, 8), (2, 2)
+#: Of the error that is left at most this share may be estimated: more than what was met may be elsewhere.
+SHARE = 0.5
+#: Points each way that may stand for an area lamp.
+LADDER = (1, 2)
+_REPLACED = {1: "its centre", 2: "four points"}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The largest error met at ``points`` random points of the picture."""
+
+    found: float
+    points: int
+
+    @property
+    def share(self) -> float:
+        """Of the picture's points at most this many are further off, with CONFIDENCE."""
+        return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / self.points) if self.points else 1.0
+
+    def words(self) -> str:
+        return (
+            f"at {self.points:,} random points the largest error is {100 * self.found:.2g} %, and with "
+            f"{CONFIDENCE:.0%} confidence at most {100 * self.share:.2g} % of all points are further off"
+        )
+
+    def decision(self, effect: str, subject: str, gone: bool, sentence: str, **more: Any) -> dict[str, Any]:
+        """The plan's entry."""
+        return {
+            "effect": effect, "subject": subject, "off": gone, "state": "estimated", "bound": None,
+            "found": self.found, "boxes": 0, "points": self.points, "confidence": CONFIDENCE,
+            "share": self.share, "sentence": f"{sentence}: {self.words()}", **more,
+        }  # fmt: skip
+
+
+class Probe:
+    """Random points of the picture that show a shape, and the light that each lamp sends them straight.
+
+    floor : the radiance that errors are relative to at least. rows : of all batches, those that pictures are
+    rendered in, so that programs are compiled once.
+    """
+
+    def __init__(self, scene: Scene, settings: Settings, floor: float, seed: int, rows: int) -> None:
+        self.scene, self.floor, self.rows = scene, floor, rows
+        self.integrator = Integrator(scene, settings, np.dtype(np.float32))
+        self.at, self.count = self._points(np.random.default_rng([seed, 2**31 + 1]))
+        self.lamps = settings.lit(0)
+        self.materials = settings.direct
+
+    def _points(self, rng: np.random.Generator) -> tuple[Points | None, int]:
+        one, rows = self.integrator, self.rows
+        parts: list[list[NDArray[Any]]] = []
+        found = 0
+        wanted = min(_POINTS, rows)
+        camera = self.scene.spec.camera
+        for _ in range(max(_RAYS // rows, 1)):
+            pixel = rng.integers(0, camera.width * camera.height, rows)
+            u = jnp.asarray(rng.random((rows, 2)), one.dtype)
+            o, d = kernels.camera_rays(one.basis, one.eye, one.size, jnp.asarray(pixel), u)
+            hit = kernels.nearest(one.shapes, o, d, jnp.full(rows, -1))
+            shown = np.flatnonzero(np.asarray(hit.primitive) >= 0)[: wanted - found]
+            parts.append([np.asarray(part)[shown] for part in (*hit, d)])
+            found += len(shown)
+            if found == wanted:
+                break
+        if not found:
+            return None, 0
+        joined = [np.concatenate(some) for some in zip(*parts, strict=True)]
+        each = rows // found
+        filled = np.resize(np.repeat(np.arange(found), each), rows)
+        *of_hit, d = (jnp.asarray(part[filled]) for part in joined)
+        return one.points(Hit(*of_hit), d), found
+
+    def light(
+        self, k: int, materials: tuple[Material, ...], each_way: int, panels: int = 1
+    ) -> FloatArray:  # fmt: skip
+        """Radiance (P, C) that the points send back of lamp k, by :func:`fitter.scene.lights.points`."""
+        assert self.at is not None
+        count, each = self.count, self.rows // self.count
+        if self.scene.lamps[k].is_delta:
+            found = self.integrator.from_lamp(k, self.at, None, materials, 1.0)
+            return np.asarray(found, np.float64)[: count * each : each]
+        u, share = (np.array(part) for part in zip(*lights.points(each_way, panels), strict=True))
+        total = np.zeros((count, self.integrator.count))
+        for start in range(0, len(share), each):
+            # What fills a batch up repeats its last point, and counts nothing.
+            chosen = np.arange(start, start + each)
+            weight = np.where(chosen < len(share), share[np.minimum(chosen, len(share) - 1)], 0.0)
+            at = np.resize(u[np.minimum(chosen, len(share) - 1), 0], (self.rows, 2))
+            found = np.asarray(self.integrator.from_lamp(k, self.at, at, materials, 1.0), np.float64)
+            total += np.einsum("pqc,q->pc", found[: count * each].reshape(count, each, -1), weight)
+        return total
+
+
+def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, Any]], float]:
+    """Of each lamp the points each way that stand for it (0: it is sampled), decisions, the joint error."""
+    scene = probe.scene
+    none: tuple[int, ...] = (0,) * len(scene.lamps)
+    areas = [k for k in probe.lamps if scene.lamps[k].kind == "area"]
+    if not areas or probe.at is None:
+        return none, [], 0.0
+    if any(isinstance(one, ModelMaterial) and one.has_ideal for one in scene.materials):
+        said = Estimate(0.0, 0)
+        why = "sampled: mirrors show its shape"
+        return none, [{**said.decision("area light", str(k), False, ""), "state": "not-bounded",
+            "sentence": f"light {k} (area) {why}"} for k in areas], 0.0  # fmt: skip
+    exact = {k: probe.light(k, probe.materials, *_FINE) for k in probe.lamps}
+    whole = np.sum(list(exact.values()), axis=0)
+    change = np.zeros_like(whole)
+    chosen, decisions, error = list[int](none), list[dict[str, Any]](), 0.0
+    for k in areas:
+        tried: list[Estimate] = []
+        for each_way in LADDER:
+            fewer = probe.light(k, probe.materials, each_way) - exact[k]
+            tried.append(_largest(change + fewer, whole, probe.floor))
+            if tried[-1].found <= SHARE * left:
+                chosen[k], change, error = each_way, change + fewer, tried[-1].found
+                break
+        words = f"light {k} (area) " + (
+            f"is {_REPLACED[chosen[k]]} where the camera looks" if chosen[k]
+            else f"sampled (from its centre alone {100 * tried[0].found:.2g} % off), four points would not do"
+        )  # fmt: skip
+        one = tried[-1].decision("area light", str(k), bool(chosen[k]), words, points_each_way=chosen[k])
+        if tried[-1].found > left:
+            one["state"] = "needed"
+        decisions.append(one)
+    return tuple(chosen), decisions, error
+
+
+def stand_ins(
+    probe: Probe, left: float
+) -> tuple[tuple[Material, ...], list[dict[str, Any]], float]:  # fmt: skip
+    """The materials with what may take their place, decisions, the error of all together."""
+    scene, chosen, decisions, error = probe.scene, probe.materials, list[dict[str, Any]](), 0.0
+    if probe.at is None or not any(scene.stand_ins):
+        return chosen, [], 0.0
+    whole = _whole(probe, chosen)
+    for m, some in enumerate(scene.stand_ins):
+        for source, other in some:
+            changed = (*chosen[:m], other, *chosen[m + 1 :])
+            found = _largest(_whole(probe, changed) - whole, whole, probe.floor)
+            gone = found.found <= SHARE * left
+            place = "in place of" if gone else "not in place of"
+            words = f"{source} {place} the table of {scene.names[m]}"
+            one = found.decision("raw table", scene.names[m], gone, words, stand_in=source)
+            if found.found > left:
+                one["state"] = "needed"
+            decisions.append(one)
+            if gone:
+                chosen, error = changed, found.found
+                break
+    return chosen, decisions, error
+
+
+def _whole(probe: Probe, materials: tuple[Material, ...]) -> FloatArray:
+    return np.sum([probe.light(k, materials, *_COARSE) for k in probe.lamps], axis=0)
+
+
+def precision(scene: Scene, floor: float, seed: int, rows: int) -> Estimate:
+    """The error of float32 against float64: one sample of a pixel with everything on and the same random
+    numbers."""
+    total, everything = scene.spec.camera.width * scene.spec.camera.height, Settings.everything(scene)
+    pixel = np.linspace(0, total - 1, rows).astype(np.intp)
+    single, double = (
+        Integrator(scene, everything, np.dtype(kind)).batch(pixel, (seed, 2**31))[0].astype(np.float64)
+        for kind in (np.float32, np.float64)
+    )
+    return _largest(single - double, double, floor)
+
+
+def of_precision(found: Estimate, single: bool) -> dict[str, Any]:
+    """The plan's entry."""
+    words = "float32 in place of float64" if single else "float64: float32 would not do"
+    one = found.decision("float64", "all", single, words)
+    return one if single else {**one, "state": "needed"}
+
+
+def _largest(change: FloatArray, whole: FloatArray, floor: float) -> Estimate:
+    """The error of a change (P, C) of the light (P, C)."""
+    against = np.maximum(whole, floor)
+    error = np.where(against > 0, np.abs(change) / np.where(against > 0, against, 1.0), 0.0)
+    return Estimate(float(error.max(initial=0.0)), len(whole))
