@@ -34,8 +34,7 @@ def shown(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:
     point = np.stack([one.mid for one in angles.point], axis=1)
     away = surfaces.eye - point
     distance = np.linalg.norm(away, axis=1)
-    inside = ((point - surfaces.eye) @ surfaces.pyramid.T >= 0).all(axis=1)
-    return inside & ~_blocked(surfaces, point, away / distance[:, None], distance, boxes.primitive)
+    return surfaces.shows(point) & ~_blocked(surfaces, point, away / distance[:, None], distance, boxes.primitive)
 
 
 def shaded(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:

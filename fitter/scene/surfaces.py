@@ -17,6 +17,7 @@ from fitter.scene import kernels
 from fitter.scene.assembly import Scene
 from fitter.scene.intervals import Interval, cosine, increasing, sine, unit_component
 from fitter.scene.lights import Lamp
+from fitter.scene.regions import Region
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -88,9 +89,9 @@ class Angles:
 
 
 class Surfaces:
-    """All primitives of a scene, as boxes see them."""
+    """All primitives of a scene, as boxes see them; ``region`` : of the picture, all of it by default."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, region: Region | None = None) -> None:
         g = scene.geometry
         self.scene = scene
         self.lamps = scene.lamps
@@ -121,12 +122,13 @@ class Surfaces:
         self.material = scene.of_shape[g.shape]
         self.eye = eye
         basis = kernels.camera_basis(scene.spec.camera)
-        wide, tall = np.linalg.norm(basis[0]), np.linalg.norm(basis[1])
-        right, down, forward = basis[0] / wide, basis[1] / tall, basis[2]
-        # Inward normals of the pyramid that the picture shows.
-        self.pyramid = np.stack(
-            [wide * forward - right, wide * forward + right, tall * forward - down, tall * forward + down]
-        )
+        x_lines, y_lines, self.tiles = (region or Region.whole(scene.spec.camera)).lines
+        forward = basis[2]
+        # Normals of planes through the eye and the tiles' edges, to the right and down.
+        self.planes = [
+            np.stack([along / (along @ along) - line * forward for line in lines])
+            for along, lines in ((basis[0], x_lines), (basis[1], y_lines))
+        ]
 
     def start(self, material: int, lamps: tuple[int, ...]) -> Boxes:
         """Boxes that together hold all points of shapes of one material, and of lamps."""
@@ -239,11 +241,27 @@ class Surfaces:
         return found[0], found[1], found[2]
 
     def _in_picture(self, world: Vector) -> NDArray[np.bool_]:
-        inside = np.ones(len(world[0].lo), bool)
-        for normal in self.pyramid:
-            height = sum(((world[k] - self.eye[k]) * normal[k] for k in range(3)), Interval.of(0.0))
-            inside &= height.hi >= -1e-9 * self.size
-        return inside
+        """(B,) whether boxes may reach into a tile of the region."""
+        away = [world[k] - self.eye[k] for k in range(3)]
+        wide = 1e-9 * self.size
+        reach: list[NDArray[np.bool_]] = []
+        for normals in self.planes:
+            heights = [sum((away[k] * n[k] for k in range(3)), Interval.of(0.0)) for n in normals]
+            right = np.stack([h.hi >= -wide for h in heights[:-1]])
+            left = np.stack([h.lo <= wide for h in heights[1:]])
+            reach.append(right & left)
+        columns, rows = reach
+        return (rows[:, None] & columns[None] & self.tiles[..., None]).any(axis=(0, 1))
+
+    def shows(self, point: FloatArray) -> NDArray[np.bool_]:
+        """(P,) whether points (P, 3) lie in a tile of the region."""
+        away = point - self.eye
+        inside: list[NDArray[np.bool_]] = []
+        for normals in self.planes:
+            heights = away @ normals.T
+            inside.append((heights[:, :-1] >= 0) & (heights[:, 1:] <= 0))
+        columns, rows = inside
+        return (rows[:, :, None] & columns[:, None] & self.tiles).any(axis=(1, 2))
 
     def _light(
         self, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector, on_sphere: NDArray[np.bool_],
