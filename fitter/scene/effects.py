@@ -14,7 +14,7 @@ retro (of Oren-Nayar) -> its constant part.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.models import ReflectanceModel
-from fitter.scene import factors
+from fitter.models.lafortune import lobe_suffixes
+from fitter.scene import cosine_lobes, factors
 from fitter.scene.intervals import Interval, increasing
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
@@ -35,40 +36,59 @@ WORDS: Mapping[str, str] = {
     "diffuse": "diffuse base", "specular": "specular lobe", "fresnel": "Fresnel variation",
     "masking": "masking-shadowing", "hammon": "exact masking-shadowing", "anisotropy": "anisotropy",
     "retro": "retro-reflection of the rough diffuse base",
+    "lobe1": "first lobe", "lobe2": "second lobe", "lobe3": "third lobe",
 }  # fmt: skip
-_FACETS = ("torrance_sparrow", "cook_torrance")
+
+
+@dataclass(frozen=True)
+class Term:
+    """An additive part of a value, the same times n.l, and what they are multiplied by."""
+
+    value: Interval
+    lit: Interval
+    ratio: Interval
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One channel of a model over boxes, without what is ``off``."""
+
+    spec: ModelSpec
+    values: Mapping[str, float]
+    off: Off
+    constants: Mapping[str, Any]
+    angles: Angles
+    channel: int
+
+    def term(
+        self, effect: str, value: Interval, lit: Interval | None = None, ratio: float | Interval = 1.0
+    ) -> Term:
+        """A term that is absent without ``effect``; else ``ratio`` is what it is multiplied by."""
+        shape = self.angles.lz.lo.shape
+        left = 0.0 if effect in self.off else ratio
+        left = left if isinstance(left, Interval) else Interval.of(np.full(shape, left))
+        return Term(value, value * self.angles.lz if lit is None else lit, left)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What is known of a family: the effects of a model, None where nothing is proved of it, and its terms
+    but for an additive diffuse one."""
+
+    effects: Callable[[ReflectanceModel], Sequence[str] | None]
+    terms: Callable[[Asked], list[Term]]
 
 
 def effects(model: ReflectanceModel) -> tuple[str, ...]:
-    """The effects of a model that can be bounded; none of families (or forms) that nothing is proved of."""
-    spec = model.spec
-    if any(np.ndim(v) for name, v in model.nonlinear.items() if name not in ("eta", "kappa")):
-        # Roughness per channel: the substitutes are written for one.
-        return ()
-    if spec.family == "oren_nayar":
-        return ("retro",) if spec.variant in ("qualitative", "fujii") and _rough(model) else ()
-    if spec.family == "ward":
-        found = ["specular"] if spec.diffuse != "none" else []
-        found += ["diffuse"] if spec.diffuse != "none" else []
-        return (*found, "anisotropy") if spec.anisotropic else tuple(found)
-    if spec.family in _FACETS and _bounded(spec):
-        found = ["diffuse", "specular"] if spec.diffuse != "none" else []
-        found += ["fresnel"] if spec.fresnel not in (None, "none") and spec.diffuse != "coupled" else []
-        found += ["masking"]
-        hammon = spec.ndf == "ggx" and spec.masking == "smith" and not spec.anisotropic
-        # Its bounds are those of a roughness up to 1.
-        found += ["hammon"] if hammon and float(np.max(np.asarray(model.values["alpha"]))) <= 1 else []
-        return (*found, "anisotropy") if spec.anisotropic else tuple(found)
-    return ()
+    """The effects of a model that can be left out with a bound."""
+    return tuple(_known(model) or ())
 
 
 def unbounded(model: ReflectanceModel) -> str | None:
     """Why nothing of a model is left out, where nothing is proved of it."""
-    if effects(model) or model.spec.family == "lambert":
-        return None
-    if model.spec.family == "oren_nayar" and not _rough(model):
-        return None
-    return f"nothing is proved of the effects of {model.spec.name}: all kept"
+    if _known(model) is None:
+        return f"nothing is proved of the effects of {model.spec.name}: all kept"
+    return None
 
 
 def compatible(off: Off) -> bool:
@@ -79,27 +99,9 @@ def compatible(off: Off) -> bool:
     return not {"masking", "hammon"} <= off
 
 
-def _rough(model: ReflectanceModel) -> bool:
-    return bool(np.any(np.asarray(model.values["sigma"]) > 0))
-
-
-def _bounded(spec: ModelSpec) -> bool:
-    return (
-        spec.ndf in ("ggx", "beckmann") and spec.masking in ("smith", "smith_separable", "v_groove", None)
-        and spec.fresnel in ("schlick", "dielectric", "conductor", "none", None)
-        and not (spec.ndf == "beckmann" and spec.anisotropic)
-        and not (spec.anisotropic and spec.masking != "smith")
-        and spec.diffuse != "coupled"
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Term:
-    """An additive part of a value, the same times n.l, and what they are multiplied by."""
-
-    value: Interval
-    lit: Interval
-    ratio: Interval
+def _known(model: ReflectanceModel) -> Sequence[str] | None:
+    family = FAMILIES.get(model.spec.family)
+    return family.effects(model) if family else None
 
 
 def of_channel(model: ReflectanceModel, channel: int) -> dict[str, float]:
@@ -114,28 +116,14 @@ def terms(
     model: ReflectanceModel, off: Off, constants: Mapping[str, Any], angles: Angles, channel: int
 ) -> list[Term]:
     """The terms of one channel over boxes."""
-    values = of_channel(model, channel)
-    spec = model.spec
-    shape = angles.lz.lo.shape
-    one = Interval.of(np.ones(shape))
-    none = Interval.of(np.zeros(shape))
-    found: list[Term] = []
-    base = values.get("kd", 0.0)
-    if spec.family == "oren_nayar":
-        return [_oren_nayar(spec, values, off, angles)]
+    asked = Asked(model.spec, of_channel(model, channel), off, constants, angles, channel)
+    found = FAMILIES[model.spec.family].terms(asked)
+    base = asked.values.get("kd", 0.0) / math.pi
     if base > 0:
-        level = base / math.pi
-        value = increasing(level * one.lo, level * one.hi)
-        found.append(Term(value, value * angles.lz, none if "diffuse" in off else one))
-    if spec.family == "lambert" or values.get("ks", 0.0) == 0:
-        return found or [Term(none, none, one)]
-    if spec.family == "ward":
-        value, ratio = factors.ward(spec, values, off, angles)
-        lit = value * angles.lz
-    else:
-        value, lit, ratio = factors.facets(spec, values, off, constants, angles, channel)
-    found.append(Term(value * values["ks"], lit * values["ks"], none if "specular" in off else ratio))
-    return found
+        shape = angles.lz.lo.shape
+        found.append(asked.term("diffuse", increasing(np.full(shape, base), np.full(shape, base))))
+    zero = Interval.of(np.zeros(angles.lz.lo.shape))
+    return found or [asked.term("", zero, zero)]
 
 
 def relative(parts: list[Term]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -155,11 +143,94 @@ def relative(parts: list[Term]) -> tuple[FloatArray, FloatArray, FloatArray]:
     return tuple(x * (1 + 1e-14) for x in (error, absolute, total))  # pyright: ignore[reportReturnType]
 
 
-def _oren_nayar(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles) -> Term:
-    rho, sigma = values["rho"], values["sigma"]
+# Families -------------------------------------------------------------------------------------------
+
+
+def lobe_names(spec: ModelSpec) -> tuple[str, ...]:
+    """The effects that lobes are, where they are left out."""
+    return ("specular",) if spec.lobes == 1 else tuple(f"lobe{k + 1}" for k in range(spec.lobes))
+
+
+def _of_lobes(model: ReflectanceModel) -> tuple[str, ...]:
+    """The terms that may be absent: none of a model that has one."""
+    found = lobe_names(model.spec) if model.spec.diffuse == "none" else ("diffuse", *lobe_names(model.spec))
+    return found if len(found) > 1 else ()
+
+
+def _per_channel(model: ReflectanceModel) -> bool:
+    """Roughness per channel: the substitutes of facets are written for one."""
+    return any(np.ndim(v) for name, v in model.nonlinear.items() if name not in ("eta", "kappa"))
+
+
+def _of_oren_nayar(model: ReflectanceModel) -> Sequence[str] | None:
+    if model.spec.variant not in ("qualitative", "fujii"):
+        return None
+    rough = bool(np.any(np.asarray(model.values["sigma"]) > 0))
+    return ("retro",) if rough and not np.ndim(model.values["sigma"]) else ()
+
+
+def _of_ward(model: ReflectanceModel) -> Sequence[str]:
+    found = _of_lobes(model)
+    return (*found, "anisotropy") if model.spec.anisotropic and not _per_channel(model) else found
+
+
+def _of_facets(model: ReflectanceModel) -> Sequence[str] | None:
+    spec = model.spec
+    if not (
+        spec.ndf in ("ggx", "beckmann") and spec.masking in ("smith", "smith_separable", "v_groove", None)
+        and spec.fresnel in ("schlick", "dielectric", "conductor", "none", None)
+        and not (spec.ndf == "beckmann" and spec.anisotropic)
+        and not (spec.anisotropic and spec.masking != "smith")
+        and spec.diffuse != "coupled"
+    ):  # fmt: skip
+        return None
+    found = list(_of_lobes(model))
+    if _per_channel(model):
+        return found
+    found += ["fresnel"] if spec.fresnel not in (None, "none") else []
+    found += ["masking"]
+    hammon = spec.ndf == "ggx" and spec.masking == "smith" and not spec.anisotropic
+    # Its bounds are those of a roughness up to 1.
+    found += ["hammon"] if hammon and float(np.max(np.asarray(model.values["alpha"]))) <= 1 else []
+    return (*found, "anisotropy") if spec.anisotropic else found
+
+
+def _lobe(a: Asked, value: Interval, *more: Interval) -> list[Term]:
+    """A specular lobe: its value over ks, that times n.l, and its ratio."""
+    ks = a.values["ks"]
+    lit = (more[0] if more else value * a.angles.lz) * ks
+    return [a.term("specular", value * ks, lit, *more[1:])] if ks > 0 else []
+
+
+def _ward(a: Asked) -> list[Term]:
+    value, ratio = factors.ward(a.spec, a.values, a.off, a.angles)
+    return _lobe(a, value, value * a.angles.lz, ratio)
+
+
+def _facets(a: Asked) -> list[Term]:
+    return _lobe(a, *factors.facets(a.spec, a.values, a.off, a.constants, a.angles, a.channel))
+
+
+def _phong(a: Asked) -> list[Term]:
+    return _lobe(a, cosine_lobes.phong(a.values, a.angles))
+
+
+def _blinn(a: Asked) -> list[Term]:
+    return _lobe(a, cosine_lobes.blinn(a.values, a.angles))
+
+
+def _lafortune(a: Asked) -> list[Term]:
+    lobes = cosine_lobes.lafortune(a.spec, a.values, a.angles)
+    scales = (a.values[f"ks{s}"] for s in lobe_suffixes(a.spec))
+    return [a.term(name, lobe * ks) for name, lobe, ks in zip(lobe_names(a.spec), lobes, scales, strict=True)]
+
+
+def _oren_nayar(a: Asked) -> list[Term]:
+    rho, sigma = a.values["rho"], a.values["sigma"]
+    angles = a.angles
     l, v = angles.lz, angles.vz
     inner = angles.dot - l * v
-    if spec.variant == "fujii":
+    if a.spec.variant == "fujii":
         scale = rho / (math.pi * (1.0 + (0.5 - 2 / (3 * math.pi)) * sigma))
         forward = inner.clip(0, 1) / l.maximum(v)
         back = inner.clip(-1, 0)
@@ -175,5 +246,17 @@ def _oren_nayar(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: 
     lit = value * l
     bounded = (inner.clip(0, 1) * slope + level) * scale
     lit = Interval(lit.lo, np.minimum(lit.hi, bounded.hi))
-    ratio = (level / (rise + level)).clip(0, np.inf) if "retro" in off else Interval.of(np.ones(l.lo.shape))
-    return Term(value, lit, ratio)
+    return [a.term("", value, lit, (level / (rise + level)).clip(0, np.inf) if "retro" in a.off else 1.0)]
+
+
+#: Where a family is added: its effects, its enclosures and, in :mod:`fitter.scene.shading`, its substitutes.
+FAMILIES: Mapping[str, Family] = {
+    "lambert": Family(lambda _: (), lambda _: []),
+    "oren_nayar": Family(_of_oren_nayar, _oren_nayar),
+    "ward": Family(_of_ward, _ward),
+    "torrance_sparrow": Family(_of_facets, _facets),
+    "cook_torrance": Family(_of_facets, _facets),
+    "lafortune": Family(_of_lobes, _lafortune),
+    "phong": Family(_of_lobes, _phong),
+    "blinn_phong": Family(_of_lobes, _blinn),
+}
