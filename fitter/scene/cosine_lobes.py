@@ -30,13 +30,11 @@ _ROUNDED = 1e-13
 
 def lafortune(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> list[Interval]:
     """Each lobe over ks."""
-    return [
-        _power(
-            _coefficients(spec, values[f"gamma{s}"], values.get(f"delta{s}", 0.0)), values.get("psi", 0.0),
-            values[f"n{s}"], angles,
-        )
-        for s in lobe_suffixes(spec)
-    ]  # fmt: skip
+    found: list[Interval] = []
+    for s in lobe_suffixes(spec):
+        c = _coefficients(spec.anisotropic, values[f"gamma{s}"], values.get(f"delta{s}", 0.0))
+        found.append(_power(c, values.get("psi", 0.0), values[f"n{s}"], angles))
+    return found
 
 
 def phong(values: Mapping[str, float], angles: Angles) -> Interval:
@@ -51,7 +49,8 @@ def blinn(values: Mapping[str, float], angles: Angles) -> Interval:
 
 
 @lru_cache(maxsize=64)
-def _coefficients(spec: ModelSpec, gamma: float, delta: float) -> tuple[float, float, float]:
+def _coefficients(anisotropic: bool, gamma: float, delta: float) -> tuple[float, float, float]:
+    spec = ModelSpec(family="lafortune", anisotropic=anisotropic)
     own = {"gamma": jnp.asarray(gamma), "delta": jnp.asarray(delta)}
     *xy, z = (float(c) for c in lobe_coefficients(spec, own, ""))
     return xy[0], xy[-1], z

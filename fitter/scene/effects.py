@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from fitter.models import ReflectanceModel
 from fitter.models.lafortune import lobe_suffixes
-from fitter.scene import cosine_lobes, factors
+from fitter.scene import cosine_lobes, factors, multiple
+from fitter.scene.facets import as_facets
 from fitter.scene.intervals import Interval, increasing
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
@@ -35,7 +36,7 @@ Off = frozenset[str]
 WORDS: Mapping[str, str] = {
     "diffuse": "diffuse base", "specular": "specular lobe", "fresnel": "Fresnel variation",
     "masking": "masking-shadowing", "hammon": "exact masking-shadowing", "anisotropy": "anisotropy",
-    "retro": "retro-reflection of the rough diffuse base",
+    "multiple": "multiple scattering", "retro": "retro-reflection of the rough diffuse base",
     "lobe1": "first lobe", "lobe2": "second lobe", "lobe3": "third lobe",
 }  # fmt: skip
 
@@ -59,6 +60,11 @@ class Asked:
     constants: Mapping[str, Any]
     angles: Angles
     channel: int
+
+    @property
+    def fresnel(self) -> Interval:
+        """What replaces the Fresnel term."""
+        return Interval.of(np.asarray(self.constants["fresnel"])[self.channel])
 
     def term(
         self, effect: str, value: Interval, lit: Interval | None = None, ratio: float | Interval = 1.0
@@ -116,12 +122,20 @@ def terms(
     model: ReflectanceModel, off: Off, constants: Mapping[str, Any], angles: Angles, channel: int
 ) -> list[Term]:
     """The terms of one channel over boxes."""
+    family = FAMILIES[model.spec.family]
+    model = as_facets(model)
     asked = Asked(model.spec, of_channel(model, channel), off, constants, angles, channel)
-    found = FAMILIES[model.spec.family].terms(asked)
+    found = family.terms(asked)
     base = asked.values.get("kd", 0.0) / math.pi
     if base > 0:
-        shape = angles.lz.lo.shape
-        found.append(asked.term("diffuse", increasing(np.full(shape, base), np.full(shape, base))))
+        level = np.full(angles.lz.lo.shape, base)
+        level = increasing(level, level)
+        if model.spec.diffuse == "coupled":
+            entering = 1.0 - factors.reflectance(model.spec, asked.values, factors.facet_cosine(angles))
+            ratio = (1.0 - asked.fresnel) / entering if "fresnel" in off else 1.0
+            found.append(asked.term("diffuse", level * entering.clip(0, 1), ratio=ratio))
+        else:
+            found.append(asked.term("diffuse", level))
     zero = Interval.of(np.zeros(angles.lz.lo.shape))
     return found or [asked.term("", zero, zero)]
 
@@ -175,13 +189,13 @@ def _of_ward(model: ReflectanceModel) -> Sequence[str]:
 
 
 def _of_facets(model: ReflectanceModel) -> Sequence[str] | None:
+    model = as_facets(model)
     spec = model.spec
     if not (
         spec.ndf in ("ggx", "beckmann") and spec.masking in ("smith", "smith_separable", "v_groove", None)
         and spec.fresnel in ("schlick", "dielectric", "conductor", "none", None)
         and not (spec.ndf == "beckmann" and spec.anisotropic)
         and not (spec.anisotropic and spec.masking != "smith")
-        and spec.diffuse != "coupled"
     ):  # fmt: skip
         return None
     found = list(_of_lobes(model))
@@ -209,6 +223,16 @@ def _ward(a: Asked) -> list[Term]:
 
 def _facets(a: Asked) -> list[Term]:
     return _lobe(a, *factors.facets(a.spec, a.values, a.off, a.constants, a.angles, a.channel))
+
+
+def _of_kulla_conty(model: ReflectanceModel) -> Sequence[str]:
+    # One roughness, GGX or Beckmann: all that is known of facets holds.
+    return ("multiple", *(_of_facets(model) or ()))
+
+
+def _kulla_conty(a: Asked) -> list[Term]:
+    again = multiple.scattered(a.spec, a.values, a.angles) * a.values["ks"]
+    return [*_facets(a), a.term("multiple", again)]
 
 
 def _phong(a: Asked) -> list[Term]:
@@ -256,6 +280,8 @@ FAMILIES: Mapping[str, Family] = {
     "ward": Family(_of_ward, _ward),
     "torrance_sparrow": Family(_of_facets, _facets),
     "cook_torrance": Family(_of_facets, _facets),
+    "metallic_roughness": Family(_of_facets, _facets),
+    "kulla_conty": Family(_of_kulla_conty, _kulla_conty),
     "lafortune": Family(_of_lobes, _lafortune),
     "phong": Family(_of_lobes, _phong),
     "blinn_phong": Family(_of_lobes, _blinn),

@@ -14,20 +14,27 @@ from jax import Array
 
 from fitter.models import ReflectanceModel, fresnel, masking, ndf
 from fitter.models.base import SeparableModel
+from fitter.models.kulla_conty import KullaConty
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.roughness import Isotropic
 from fitter.scene.effects import lobe_names
+from fitter.scene.facets import as_facets
 
 
 def value(model: ReflectanceModel, off: frozenset[str], constants: dict[str, Any], p: Pair) -> Array:
     """f (..., C) of the pair; ``off`` names what is left out, ``constants`` what replaces it."""
     if not off:
         return model.value(p)
+    if not isinstance(model, KullaConty):
+        model = as_facets(model)
     spec = model.spec
     if spec.family == "oren_nayar":
         level = _constant_part(spec.variant, model.values["sigma"])
         return jnp.where(p.above[..., None], model.values["rho"] * (level / math.pi), 0.0)
+    if isinstance(model, KullaConty):
+        once = value(as_facets(model), off - {"multiple"}, constants, p)
+        return once if "multiple" in off else once + model.multiple(p)
     if spec.family != "ward" and off & {"fresnel", "masking", "hammon", "anisotropy"}:
         return _facets(model, off, constants, p)
     if "anisotropy" in off:
@@ -52,9 +59,6 @@ def _facets(model: ReflectanceModel, off: frozenset[str], constants: dict[str, A
     if "anisotropy" in off:
         model = _isotropic(model)
     spec, values = model.spec, model.values
-    total = jnp.zeros((*p.iz.shape, len(model.channels)), p.iz.dtype)
-    if spec.diffuse != "none" and "diffuse" not in off:
-        total = total + values["kd"] / math.pi
     lifted = p.lifted()
     h = Half.of(lifted)
     normals = ndf.of(spec, values)
@@ -74,7 +78,11 @@ def _facets(model: ReflectanceModel, off: frozenset[str], constants: dict[str, A
         reflected = jnp.ones_like(values["ks"])
     else:
         reflected = fresnel.exact(spec.fresnel, values, fresnel.facet_cosine(h)[..., None])
-    return jnp.where(p.above[..., None], total + values["ks"] * reflected * lobe, 0.0)
+    total = values["ks"] * reflected * lobe
+    if spec.diffuse != "none" and "diffuse" not in off:
+        entering = 1.0 - reflected if spec.diffuse == "coupled" else 1.0
+        total = total + values["kd"] / math.pi * entering
+    return jnp.where(p.above[..., None], total, 0.0)
 
 
 def _hammon(normals: ndf.Distribution, p: Pair) -> Array:

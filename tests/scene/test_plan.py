@@ -72,6 +72,12 @@ MATERIALS: dict[str, dict[str, Any]] = {
     },
     "phong": {"model": "phong", "values": {"kd": 0.2, "ks": 0.4, "n": 30}},
     "blinn": {"model": "blinn_phong", "values": {"kd": 0.2, "ks": 0.4, "n": 30}},
+    "coupled": {"model": {**GGX["model"], "diffuse": "coupled"}, "values": GGX["values"]},
+    "engine": {
+        "model": "metallic_roughness", "values": {"base_color": 0.6, "metallic": 0.3, "roughness": 0.5},
+    },
+    "again": {"model": "kulla_conty", "values": {"ks": 1.0, "f0": 0.7, "alpha": 0.4}},
+    "again beckmann": {"model": "kulla_conty:beckmann:none", "values": {"ks": 0.9, "alpha": 0.3}},
     "matte": {"model": "lambert", "values": {"kd": 0.5}},
 }  # fmt: skip
 SUN = {"kind": "directional", "direction": [1, -1, 2], "irradiance": 2.0}
