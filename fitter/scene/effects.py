@@ -15,16 +15,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.models import ReflectanceModel
+from fitter.models import ReflectanceModel, composite
 from fitter.models.lafortune import lobe_suffixes
-from fitter.scene import cosine_lobes, factors, multiple
-from fitter.scene.facets import as_facets
+from fitter.scene import coats, cosine_lobes, factors, multiple
+from fitter.scene.facets import as_facets, model_as_facets
 from fitter.scene.intervals import Interval, increasing
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
@@ -36,7 +37,8 @@ Off = frozenset[str]
 WORDS: Mapping[str, str] = {
     "diffuse": "diffuse base", "specular": "specular lobe", "fresnel": "Fresnel variation",
     "masking": "masking-shadowing", "hammon": "exact masking-shadowing", "anisotropy": "anisotropy",
-    "multiple": "multiple scattering", "retro": "retro-reflection of the rough diffuse base",
+    "retro": "retro-reflection of the rough diffuse base", "multiple": "multiple scattering",
+    "coat": "reflection of the coat", "passage": "variation of what passes the coat",
     "lobe1": "first lobe", "lobe2": "second lobe", "lobe3": "third lobe",
 }  # fmt: skip
 
@@ -61,10 +63,9 @@ class Asked:
     angles: Angles
     channel: int
 
-    @property
-    def fresnel(self) -> Interval:
-        """What replaces the Fresnel term."""
-        return Interval.of(np.asarray(self.constants["fresnel"])[self.channel])
+    def constant(self, factor: str) -> Interval:
+        """What replaces a factor."""
+        return Interval.of(np.asarray(self.constants[factor])[self.channel])
 
     def term(
         self, effect: str, value: Interval, lit: Interval | None = None, ratio: float | Interval = 1.0
@@ -122,17 +123,22 @@ def terms(
     model: ReflectanceModel, off: Off, constants: Mapping[str, Any], angles: Angles, channel: int
 ) -> list[Term]:
     """The terms of one channel over boxes."""
-    family = FAMILIES[model.spec.family]
-    model = as_facets(model)
-    asked = Asked(model.spec, of_channel(model, channel), off, constants, angles, channel)
+    return _terms(Asked(model.spec, of_channel(model, channel), off, constants, angles, channel))
+
+
+def _terms(asked: Asked) -> list[Term]:
+    family = FAMILIES[asked.spec.family]
+    spec, values = as_facets(asked.spec, asked.values)
+    asked = replace(asked, spec=spec, values={name: float(x) for name, x in values.items()})
+    off, angles = asked.off, asked.angles
     found = family.terms(asked)
     base = asked.values.get("kd", 0.0) / math.pi
     if base > 0:
         level = np.full(angles.lz.lo.shape, base)
         level = increasing(level, level)
-        if model.spec.diffuse == "coupled":
-            entering = 1.0 - factors.reflectance(model.spec, asked.values, factors.facet_cosine(angles))
-            ratio = (1.0 - asked.fresnel) / entering if "fresnel" in off else 1.0
+        if spec.diffuse == "coupled":
+            entering = 1.0 - factors.reflectance(spec, asked.values, factors.facet_cosine(angles))
+            ratio = (1.0 - asked.constant("fresnel")) / entering if "fresnel" in off else 1.0
             found.append(asked.term("diffuse", level * entering.clip(0, 1), ratio=ratio))
         else:
             found.append(asked.term("diffuse", level))
@@ -189,7 +195,7 @@ def _of_ward(model: ReflectanceModel) -> Sequence[str]:
 
 
 def _of_facets(model: ReflectanceModel) -> Sequence[str] | None:
-    model = as_facets(model)
+    model = model_as_facets(model)
     spec = model.spec
     if not (
         spec.ndf in ("ggx", "beckmann") and spec.masking in ("smith", "smith_separable", "v_groove", None)
@@ -233,6 +239,23 @@ def _of_kulla_conty(model: ReflectanceModel) -> Sequence[str]:
 def _kulla_conty(a: Asked) -> list[Term]:
     again = multiple.scattered(a.spec, a.values, a.angles) * a.values["ks"]
     return [*_facets(a), a.term("multiple", again)]
+
+
+def _of_layered(model: ReflectanceModel) -> Sequence[str] | None:
+    base = composite.parts(model)[0]
+    # Tangents are not followed beneath the coat.
+    return None if _known(base) is None or base.spec.anisotropic else ("coat", "passage")
+
+
+def _layered(a: Asked) -> list[Term]:
+    value, lit, _ = coats.top(a.spec, a.values, a.angles)
+    passed = coats.passage(a.spec, a.values, a.angles)
+    ratio = a.constant("passage") / passed if "passage" in a.off else 1.0
+    ((_, spec, own),) = composite.kinds(a.spec, {name: jnp.asarray(x) for name, x in a.values.items()})
+    values = {name: float(x) for name, x in own.items()}
+    base = replace(a, spec=spec, values=values, off=frozenset(), angles=coats.beneath(a.values, a.angles))
+    below = [a.term("", part.value * passed, ratio=ratio) for part in _terms(base)]
+    return [a.term("coat", value, lit), *below]
 
 
 def _phong(a: Asked) -> list[Term]:
@@ -281,6 +304,7 @@ FAMILIES: Mapping[str, Family] = {
     "torrance_sparrow": Family(_of_facets, _facets),
     "cook_torrance": Family(_of_facets, _facets),
     "metallic_roughness": Family(_of_facets, _facets),
+    "layered": Family(_of_layered, _layered),
     "kulla_conty": Family(_of_kulla_conty, _kulla_conty),
     "lafortune": Family(_of_lobes, _lafortune),
     "phong": Family(_of_lobes, _phong),

@@ -204,6 +204,11 @@ def _visibility(
     return value, one
 
 
+def unshadowed(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> Interval:
+    """G, the share of facets that are both lit and seen."""
+    return _visibility(spec, values, frozenset({"masking"}), angles)[1].reciprocal().clip(0, 1)
+
+
 def _over_cosine(alpha: float, c: Interval) -> Interval:
     """sqrt(alpha^2/c^2 + 1 - alpha^2) for alpha up to 2: decreasing in c."""
 

@@ -12,29 +12,31 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from fitter.models import ReflectanceModel, fresnel, masking, ndf
+from fitter.models import ReflectanceModel, composite, fresnel, masking, ndf
 from fitter.models.base import SeparableModel
 from fitter.models.kulla_conty import KullaConty
+from fitter.models.layered import Layered
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.roughness import Isotropic
 from fitter.scene.effects import lobe_names
-from fitter.scene.facets import as_facets
+from fitter.scene.facets import model_as_facets
 
 
 def value(model: ReflectanceModel, off: frozenset[str], constants: dict[str, Any], p: Pair) -> Array:
     """f (..., C) of the pair; ``off`` names what is left out, ``constants`` what replaces it."""
     if not off:
         return model.value(p)
-    if not isinstance(model, KullaConty):
-        model = as_facets(model)
+    if isinstance(model, KullaConty):
+        once = value(model_as_facets(model), off - {"multiple"}, constants, p)
+        return once if "multiple" in off else once + model.multiple(p)
+    if isinstance(model, Layered):
+        return _coated(model, off, constants, p)
+    model = model_as_facets(model)
     spec = model.spec
     if spec.family == "oren_nayar":
         level = _constant_part(spec.variant, model.values["sigma"])
         return jnp.where(p.above[..., None], model.values["rho"] * (level / math.pi), 0.0)
-    if isinstance(model, KullaConty):
-        once = value(as_facets(model), off - {"multiple"}, constants, p)
-        return once if "multiple" in off else once + model.multiple(p)
     if spec.family != "ward" and off & {"fresnel", "masking", "hammon", "anisotropy"}:
         return _facets(model, off, constants, p)
     if "anisotropy" in off:
@@ -83,6 +85,19 @@ def _facets(model: ReflectanceModel, off: frozenset[str], constants: dict[str, A
         entering = 1.0 - reflected if spec.diffuse == "coupled" else 1.0
         total = total + values["kd"] / math.pi * entering
     return jnp.where(p.above[..., None], total, 0.0)
+
+
+def _coated(model: Layered, off: frozenset[str], constants: dict[str, Any], p: Pair) -> Array:
+    lifted = p.lifted()
+    top, passed, below = model.layers(lifted)
+    base = composite.parts(model)[0]
+    if base.spec.family == "lambert":
+        # The same in all directions: they need not be refracted.
+        below = base.value(lifted)
+    if "passage" in off:
+        passed = jnp.asarray(constants["passage"], below.dtype)
+    found = passed * below
+    return jnp.where(p.above[..., None], found if "coat" in off else found + top, 0.0)
 
 
 def _hammon(normals: ndf.Distribution, p: Pair) -> Array:

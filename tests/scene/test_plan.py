@@ -78,6 +78,16 @@ MATERIALS: dict[str, dict[str, Any]] = {
     },
     "again": {"model": "kulla_conty", "values": {"ks": 1.0, "f0": 0.7, "alpha": 0.4}},
     "again beckmann": {"model": "kulla_conty:beckmann:none", "values": {"ks": 0.9, "alpha": 0.3}},
+    "varnished": {
+        "model": "layered(lambert)", "values": {"base_kd": 0.6, "tau": 0.1, "eta": 1.5, "alpha": 0.15},
+    },
+    "lacquered": {
+        "model": "layered:beckmann(torrance_sparrow:ggx:smith)",
+        "values": {
+            "base_kd": 0.2, "base_ks": 1.0, "base_f0": 0.6, "base_alpha": 0.3, "tau": 0.0, "eta": 1.4,
+            "alpha": 0.1,
+        },
+    },
     "matte": {"model": "lambert", "values": {"kd": 0.5}},
 }  # fmt: skip
 SUN = {"kind": "directional", "direction": [1, -1, 2], "irradiance": 2.0}
@@ -128,7 +138,7 @@ def test_boxes_enclose_points(name: str) -> None:
             assert (exact[use] <= interval.hi[use] + 1e-12).all()
         if shape is BALL and material.model.spec.anisotropic:
             continue
-        constants = {"fresnel": [0.123]}
+        constants = {"fresnel": np.array([0.123]), "passage": np.array([0.8])}
         exact = np.asarray(material.model.value(Pair.split(l, v)))[:, 0]
         sets = [
             frozenset(s)
@@ -138,9 +148,7 @@ def test_boxes_enclose_points(name: str) -> None:
         for off in filter(effects.compatible, sets):
             parts = effects.terms(material.model, off, constants, angles, 0)
             low_f, high_f = (sum(getattr(p.value, end) for p in parts) for end in ("lo", "hi"))
-            less = np.asarray(value(material.model, off, {"fresnel": np.array([0.123])}, Pair.split(l, v)))[
-                :, 0
-            ]
+            less = np.asarray(value(material.model, off, constants, Pair.split(l, v)))[:, 0]
             e, absolute, _ = effects.relative(parts)
             wide = 1e-9 * (1 + exact)
             assert (low_f[use] <= exact[use] + wide[use]).all()
