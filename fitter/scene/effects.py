@@ -40,6 +40,7 @@ WORDS: Mapping[str, str] = {
     "retro": "retro-reflection of the rough diffuse base", "multiple": "multiple scattering",
     "coat": "reflection of the coat", "passage": "variation of what passes the coat",
     "lobe1": "first lobe", "lobe2": "second lobe", "lobe3": "third lobe",
+    **{f"component_{letter}": f"component {letter}" for letter in "abcdef"},
 }  # fmt: skip
 
 
@@ -251,11 +252,38 @@ def _layered(a: Asked) -> list[Term]:
     value, lit, _ = coats.top(a.spec, a.values, a.angles)
     passed = coats.passage(a.spec, a.values, a.angles)
     ratio = a.constant("passage") / passed if "passage" in a.off else 1.0
-    ((_, spec, own),) = composite.kinds(a.spec, {name: jnp.asarray(x) for name, x in a.values.items()})
-    values = {name: float(x) for name, x in own.items()}
-    base = replace(a, spec=spec, values=values, off=frozenset(), angles=coats.beneath(a.values, a.angles))
-    below = [a.term("", part.value * passed, ratio=ratio) for part in _terms(base)]
+    (base,) = _components(a)
+    parts = _terms(replace(base, angles=coats.beneath(a.values, a.angles)))
+    below = [a.term("", part.value * passed, ratio=ratio) for part in parts]
     return [a.term("coat", value, lit), *below]
+
+
+def component_names(spec: ModelSpec) -> tuple[str, ...]:
+    """The effects that a sum's components are."""
+    return tuple(f"component_{prefix[0]}" for prefix in composite.prefixes(spec))
+
+
+def _components(a: Asked) -> list[Asked]:
+    """The components of a composite, whole."""
+    values = {name: jnp.asarray(x) for name, x in a.values.items()}
+    return [
+        replace(a, spec=spec, values={name: float(x) for name, x in own.items()}, off=frozenset())
+        for _, spec, own in composite.kinds(a.spec, values)
+    ]
+
+
+def _of_sum(model: ReflectanceModel) -> Sequence[str] | None:
+    if any(_known(part) is None for part in composite.parts(model)):
+        return None
+    return component_names(model.spec)
+
+
+def _sum(a: Asked) -> list[Term]:
+    return [
+        a.term(name, part.value, part.lit)
+        for name, component in zip(component_names(a.spec), _components(a), strict=True)
+        for part in _terms(component)
+    ]
 
 
 def _phong(a: Asked) -> list[Term]:
@@ -306,6 +334,7 @@ FAMILIES: Mapping[str, Family] = {
     "metallic_roughness": Family(_of_facets, _facets),
     "layered": Family(_of_layered, _layered),
     "kulla_conty": Family(_of_kulla_conty, _kulla_conty),
+    "sum": Family(_of_sum, _sum),
     "lafortune": Family(_of_lobes, _lafortune),
     "phong": Family(_of_lobes, _phong),
     "blinn_phong": Family(_of_lobes, _blinn),

@@ -19,7 +19,7 @@ from fitter.models.layered import Layered
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.roughness import Isotropic
-from fitter.scene.effects import lobe_names
+from fitter.scene.effects import component_names, lobe_names
 from fitter.scene.facets import model_as_facets
 
 
@@ -32,6 +32,9 @@ def value(model: ReflectanceModel, off: frozenset[str], constants: dict[str, Any
         return once if "multiple" in off else once + model.multiple(p)
     if isinstance(model, Layered):
         return _coated(model, off, constants, p)
+    if model.spec.family == "sum":
+        named = zip(component_names(model.spec), composite.parts(model), strict=True)
+        return _sum([part.value(p) for name, part in named if name not in off], model, p)
     model = model_as_facets(model)
     spec = model.spec
     if spec.family == "oren_nayar":
@@ -46,8 +49,11 @@ def value(model: ReflectanceModel, off: frozenset[str], constants: dict[str, Any
     names = ["diffuse"] if spec.diffuse != "none" else []
     names += lobe_names(spec) if spec.family == "lafortune" else ["specular"] * (len(parts) - len(names))
     # What is not summed is not compiled.
-    kept = [part for name, part in zip(names, parts, strict=True) if name not in off]
-    return sum(kept, jnp.zeros((*p.iz.shape, len(model.channels)), p.iz.dtype))
+    return _sum([part for name, part in zip(names, parts, strict=True) if name not in off], model, p)
+
+
+def _sum(parts: list[Array], model: ReflectanceModel, p: Pair) -> Array:
+    return sum(parts, jnp.zeros((*p.iz.shape, len(model.channels)), p.iz.dtype))
 
 
 def _isotropic(model: ReflectanceModel) -> ReflectanceModel:

@@ -88,6 +88,13 @@ MATERIALS: dict[str, dict[str, Any]] = {
             "alpha": 0.1,
         },
     },
+    "sum": {
+        "model": "sum(oren_nayar, ward:no_diffuse, layered(lambert))",
+        "values": {
+            "a_rho": 0.3, "a_sigma": 0.2, "b_ks": 0.2, "b_alpha": 0.2, "c_base_kd": 0.2, "c_tau": 0.1,
+            "c_eta": 1.5, "c_alpha": 0.1,
+        },
+    },
     "matte": {"model": "lambert", "values": {"kd": 0.5}},
 }  # fmt: skip
 SUN = {"kind": "directional", "direction": [1, -1, 2], "irradiance": 2.0}
