@@ -19,8 +19,8 @@ from fitter.models.layered import Layered
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.roughness import Isotropic
-from fitter.scene.effects import component_names, lobe_names
 from fitter.scene.facets import model_as_facets
+from fitter.scene.families import component_names, lobe_names
 
 
 def value(model: ReflectanceModel, off: frozenset[str], constants: dict[str, Any], p: Pair) -> Array:
