@@ -48,9 +48,10 @@ def terms(asked: Asked) -> list[Term]:
         level = np.full(angles.lz.lo.shape, base)
         level = increasing(level, level)
         if spec.diffuse == "coupled":
-            entering = 1.0 - factors.reflectance(spec, asked.values, factors.facet_cosine(angles))
+            cosine = factors.facet_cosine(angles)
+            entering = (1.0 - factors.reflectance(spec, asked.values, cosine)).clip(0, 1)
             ratio = (1.0 - asked.constant("fresnel")) / entering if "fresnel" in off else 1.0
-            found.append(asked.term("diffuse", level * entering.clip(0, 1), ratio=ratio))
+            found.append(asked.term("diffuse", level * entering, ratio=ratio))
         else:
             found.append(asked.term("diffuse", level))
     zero = Interval.of(np.zeros(angles.lz.lo.shape))

@@ -232,6 +232,22 @@ def test_bounds_are_kept(name: str) -> None:
     assert any(d["off"] for d in planned.document["decisions"] if d["subject"] == "m")
 
 
+@pytest.mark.parametrize("name", ["lafortune", "ggx", "again"])
+def test_parameters_per_channel(name: str) -> None:
+    own = {"lafortune": "n_1", "ggx": "alpha", "again": "alpha"}[name]
+    values = MATERIALS[name]["values"]
+    spread = [values[own] * share for share in (0.5, 1.0, 1.5)]
+    model = model_spec(MATERIALS[name]["model"]).model_copy(update={"per_channel": (own,)})
+    material = {"model": model.model_dump(), "values": {**values, own: spread}}
+    found = one(material, {**PLANE, "size": [0.5, 0.5]}, [BULB], channels=["R", "G", "B"])
+    planned = plan(found, tolerance=0.5)
+    assert any(d["off"] for d in planned.document["decisions"] if d["subject"] == "m")
+    assert (
+        true_error(found, planned.settings, planned.document["reference"], passes=1)
+        <= planned.document["bound"] + 1e-9
+    )
+
+
 def test_a_dim_light_is_left_out_and_bounds_are_kept() -> None:
     dim = {"kind": "point", "position": [0, 0, 4], "intensity": 1e-3}
     found = one(GGX, BALL, [SUN, dim])
