@@ -5,10 +5,11 @@ multiplies each term by a ratio, whose enclosure is the product of those of its 
 that a variable appears as seldom as it can (masking's by 1/cos: once). What is bounded is sum |ratio - 1|
 term / sum term.
 
-The substitutes: diffuse, specular -> absent; fresnel -> a constant, per channel; masking -> none, or for
-GGX's height-correlated Smith term that of E. Hammon 2017, 0.5/((1 - alpha) 2 n.l n.v + alpha (n.l + n.v)),
-whose relative error is below 1 - sqrt((1 + alpha)/2); anisotropy -> the geometric mean of both roughnesses;
-retro (of Oren-Nayar) -> its constant part.
+The substitutes: diffuse, specular, lobes, components, multiple scattering, a coat's reflection -> absent;
+fresnel (of a coupled diffuse term, too) and what passes a coat -> a constant, per channel; masking -> none,
+or for GGX's height-correlated Smith term that of E. Hammon 2017, 0.5/((1 - alpha) 2 n.l n.v
++ alpha (n.l + n.v)), whose relative error is below 1 - sqrt((1 + alpha)/2); anisotropy -> the geometric mean
+of both roughnesses; retro (of Oren-Nayar) -> its constant part.
 """
 
 from __future__ import annotations

@@ -97,6 +97,8 @@ MATERIALS: dict[str, dict[str, Any]] = {
     },
     "matte": {"model": "lambert", "values": {"kd": 0.5}},
 }  # fmt: skip
+#: Effects that are replaced by something else than nothing.
+FACTORS = {"fresnel", "masking", "hammon", "anisotropy", "retro", "passage"}
 SUN = {"kind": "directional", "direction": [1, -1, 2], "irradiance": 2.0}
 BULB = {"kind": "point", "position": [1, 1, 3], "intensity": 9.0}
 LAMP = {"kind": "area", "center": [-1, -1, 3], "normal": [0.3, 0.3, -1], "size": [1, 1], "radiance": 3}
@@ -165,8 +167,11 @@ def test_boxes_enclose_points(name: str) -> None:
             # And of boxes of no size they are what there is, not more.
             points = surfaces.angles(Boxes(start.primitive, start.lamp, at, at))
             tight = effects.relative(effects.terms(material.model, off, constants, points, 0))[0]
-            true = (np.abs(less - exact) / np.where(exact > 0, exact, 1.0))[use]
-            assert (tight[use] <= 2.1 * true + 1e-6).all() or len(parts) * len(off) > 1, off
+            some = use & (exact > 0)
+            true = np.abs(less - exact)[some] / exact[some]
+            # Errors of several factors may cancel; what is absent only adds up.
+            simple = off.isdisjoint(FACTORS) or len(parts) * len(off) == 1
+            assert not simple or (tight[some] <= 2.1 * true + 1e-6).all(), off
 
 
 def _directions(surfaces: Surfaces, boxes: Boxes) -> tuple[np.ndarray, ...]:
