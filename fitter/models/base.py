@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import abc
+import functools
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -243,7 +245,8 @@ class SeparableModel(ReflectanceModel):
         del spec
         return True
 
-    def value(self, p: Pair) -> Array:
+    def parts(self, p: Pair) -> list[Array]:
+        """The terms times their coefficients, (..., C) each: their sum is the value."""
         nonlinear = self.nonlinear
         if any(jnp.ndim(v) for v in nonlinear.values()):
             wide = Pair(*(component[..., None] for component in p))
@@ -251,10 +254,10 @@ class SeparableModel(ReflectanceModel):
         else:
             terms = tuple(t[..., None] for t in type(self).terms(self.spec, nonlinear, p))
         coefficients = type(self).coefficients(self.spec, self.linear, nonlinear)
-        total = terms[0] * coefficients[0]
-        for term, coefficient in zip(terms[1:], coefficients[1:], strict=True):
-            total = total + term * coefficient
-        return total
+        return [term * coefficient for term, coefficient in zip(terms, coefficients, strict=True)]
+
+    def value(self, p: Pair) -> Array:
+        return functools.reduce(operator.add, self.parts(p))
 
 
 def quotient(part: Array, whole: Array) -> Array:

@@ -51,10 +51,7 @@ class KullaConty(SeparableModel):
         h = Half.of(p)
         normals = ndf.of(spec, nonlinear)
         once = facets("smith", p, h, normals)
-        lost = _loss(spec, nonlinear)
-        # Both at once: one recurrence to compile.
-        lost_i, lost_o = lost(jnp.stack(jnp.broadcast_arrays(p.iz, p.oz)))
-        again = lost_i * lost_o / (math.pi * lost.average)
+        again = _again(loss_of(spec, nonlinear), p)
         terms = (once, schlick_weighted(once, p, h), again) if spec.fresnel == "schlick" else (once + again,)
         return tuple(jnp.where(above, term, 0.0) for term in terms)
 
@@ -66,7 +63,7 @@ class KullaConty(SeparableModel):
         if spec.fresnel == "none":
             return (ks,)
         f0 = linear["f0"]
-        return ks * f0, ks * (1.0 - f0), ks * _colour(f0, _loss(spec, nonlinear).average)
+        return ks * f0, ks * (1.0 - f0), ks * _colour(f0, loss_of(spec, nonlinear).average)
 
     @classmethod
     def linear_from(
@@ -78,6 +75,12 @@ class KullaConty(SeparableModel):
         ks = coefficients[0] + coefficients[1]
         return {"ks": ks, "f0": quotient(coefficients[0], ks)}
 
+    def multiple(self, p: Pair) -> Array:
+        """What meets more than one facet, (..., C), for one roughness."""
+        lost = loss_of(self.spec, self.values)
+        colour = self.values["ks"] * colour_of(self.spec, self.values, lost.average)
+        return jnp.where(p.above[..., None], _again(lost, p.lifted())[..., None] * colour, 0.0)
+
     @staticmethod
     def coefficients_are_free(spec: ModelSpec) -> bool:
         return spec.fresnel == "none"
@@ -85,7 +88,7 @@ class KullaConty(SeparableModel):
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:
         normals = ndf.each(spec, values)
-        ks, lost = values["ks"], _loss(spec, values).average
+        ks, lost = values["ks"], loss_of(spec, values).average
         f0 = values["f0"] if spec.fresnel == "schlick" else jnp.ones_like(ks)
         once = jnp.mean(ks * schlick_average(f0) * (1.0 - lost))
         found: list[tuple[Lobe, Array]] = [
@@ -94,8 +97,19 @@ class KullaConty(SeparableModel):
         return [*found, (CosineLobe(), jnp.mean(ks * _colour(f0, lost) * lost))]
 
 
-def _loss(spec: ModelSpec, values: Mapping[str, Array]) -> scattering_loss.Loss:
+def _again(lost: scattering_loss.Loss, p: Pair) -> Array:
+    # Both at once: one recurrence to compile.
+    lost_i, lost_o = lost(jnp.stack(jnp.broadcast_arrays(p.iz, p.oz)))
+    return lost_i * lost_o / (math.pi * lost.average)
+
+
+def loss_of(spec: ModelSpec, values: Mapping[str, Array]) -> scattering_loss.Loss:
     return scattering_loss.loss(spec.ndf or "ggx", values["alpha"])
+
+
+def colour_of(spec: ModelSpec, values: Mapping[str, Array], lost: Array) -> Array:
+    """F_ms of the parameters, for an average loss."""
+    return _colour(values["f0"], lost) if spec.fresnel == "schlick" else jnp.ones_like(values["ks"])
 
 
 def _colour(f0: Array, lost: Array) -> Array:

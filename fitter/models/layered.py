@@ -99,15 +99,19 @@ class Layered(composite.Composite):
         return (*linear, TAU, ETA, *ndf.parameters(spec), *(p for p in base if not p.linear))
 
     def value(self, p: Pair) -> Array:
-        above = p.above
-        p = p.lifted()
+        top, passed, below = self.layers(p.lifted())
+        return jnp.where(p.above[..., None], top + passed * below, 0.0)
+
+    def layers(self, p: Pair) -> tuple[Array, Array, Array]:
+        """Of a pair above the horizon, (..., C): the coat's reflection, what passes it twice, and the base's
+        value below it."""
         base = composite.parts(self)[0]
         wide = Pair(*(component[..., None] for component in p))
         eta, tau = self.values["eta"], self.values["tau"]
         coat = Coat.of(ndf.of(self.spec, self.values), eta, wide)
         below = _per_channel(base, coat.inside, eta.ndim > 0)
-        passed = jnp.exp(-tau * (1.0 / coat.inside.iz + 1.0 / coat.inside.oz))
-        return jnp.where(above[..., None], coat.top + coat.share * passed * below, 0.0)
+        passed = coat.share * jnp.exp(-tau * (1.0 / coat.inside.iz + 1.0 / coat.inside.oz))
+        return coat.top, passed, below
 
     @staticmethod
     def lobes(spec: ModelSpec, values: Mapping[str, Array]) -> list[tuple[Lobe, Array]]:

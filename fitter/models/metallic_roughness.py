@@ -25,10 +25,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
+from fitter.models import masking
 from fitter.models.base import SeparableModel, quotient
 from fitter.models.fresnel import schlick_average, schlick_rest, schlick_weighted
 from fitter.models.lobes import CosineLobe, Lobe, VisibleNormalLobe
-from fitter.models.masking import facets
 from fitter.models.ndf import GGX
 from fitter.models.pair import Half, Pair
 from fitter.models.parameters import Parameter
@@ -60,7 +60,7 @@ class MetallicRoughness(SeparableModel):
         above = p.above
         p = p.lifted()
         h = Half.of(p)
-        lobe = facets("smith", p, h, _normals(nonlinear["roughness"]))
+        lobe = masking.facets("smith", p, h, _normals(nonlinear["roughness"]))
         diffuse = schlick_rest(p, h) / math.pi
         return tuple(jnp.where(above, term, 0.0) for term in (diffuse, lobe, schlick_weighted(lobe, p, h)))
 
@@ -69,7 +69,7 @@ class MetallicRoughness(SeparableModel):
         cls, spec: ModelSpec, linear: Mapping[str, Array], nonlinear: Mapping[str, Array]
     ) -> tuple[Array, ...]:
         base, metallic = linear["base_color"], nonlinear["metallic"]
-        f0 = _DIELECTRIC_F0 * (1.0 - metallic) + base * metallic
+        f0 = _f0(base, metallic)
         rest = (1.0 - _DIELECTRIC_F0) * (1.0 - metallic) + (1.0 - base) * metallic
         return base * (1.0 - metallic) * rest, f0, rest
 
@@ -91,12 +91,29 @@ class MetallicRoughness(SeparableModel):
         del spec
         base, metallic = values["base_color"], values["metallic"]
         widths = jnp.atleast_1d(values["roughness"])
-        f0 = _DIELECTRIC_F0 * (1.0 - metallic) + base * metallic
+        f0 = _f0(base, metallic)
         share = jnp.mean(schlick_average(f0)) / len(widths)
         found: list[tuple[Lobe, Array]] = [(VisibleNormalLobe(_normals(width)), share) for width in widths]
         return [*found, (CosineLobe(), jnp.mean(base * (1.0 - metallic) * (1.0 - f0)))]
 
 
-def _normals(roughness: Array) -> GGX:
+def facets(values: Mapping[str, Array]) -> dict[str, Array]:
+    """The parameters of the same reflectance as a coupled Torrance-Sparrow model."""
+    base, metallic = values["base_color"], values["metallic"]
+    return {
+        "kd": base * (1.0 - metallic), "ks": jnp.ones_like(base), "f0": _f0(base, metallic),
+        "alpha": _alpha(values["roughness"]),
+    }  # fmt: skip
+
+
+def _f0(base: Array, metallic: Array) -> Array:
+    return _DIELECTRIC_F0 * (1.0 - metallic) + base * metallic
+
+
+def _alpha(roughness: Array) -> Array:
     alpha = roughness * roughness
-    return GGX(Isotropic(jnp.where(alpha > _SMALLEST_ALPHA, alpha, _SMALLEST_ALPHA)))
+    return jnp.where(alpha > _SMALLEST_ALPHA, alpha, _SMALLEST_ALPHA)
+
+
+def _normals(roughness: Array) -> GGX:
+    return GGX(Isotropic(_alpha(roughness)))

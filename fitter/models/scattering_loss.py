@@ -41,54 +41,54 @@ class Loss(NamedTuple):
 
     def __call__(self, cosine: Array) -> Array:
         """1 - E at cosines that broadcast against the roughness."""
-        top = _top(self.kind, self.alpha)
+        top = top_of(self.kind, self.alpha)
         # The root has no slope at 0; the loss there is 0.
         c = jnp.clip(cosine, 1e-20, top)
         x = jnp.sqrt(jnp.arcsinh(c / self.alpha) / jnp.arcsinh(top / self.alpha))
         series = chebyshev.series(self.coefficients, 2.0 * x - 1.0)
-        loss = jnp.maximum(series, 0.0) / _scale(self.kind, c / self.alpha)
+        loss = jnp.maximum(series, 0.0) / scale_of(self.kind, c / self.alpha)
         return jnp.where(cosine <= top, loss, 0.0) if self.kind == "beckmann" else loss
 
     @property
     def average(self) -> Array:
         """1 - E_avg: twice the integral of (1 - E(c)) c dc."""
         x, w = (a.reshape(-1, *[1] * self.alpha.ndim) for a in slopes.gauss(AVERAGE, self.alpha))
-        cosine, slope = _cosine(self.kind, self.alpha, x)
+        cosine, slope = cosine_at(self.kind, self.alpha, x)
         # At fixed nodes a series is a matrix, which compiles sooner than a recurrence.
         nodes, _ = np.polynomial.legendre.leggauss(AVERAGE)
         matrix = np.polynomial.chebyshev.chebvander(nodes, COSINES - 1)
         series = jnp.tensordot(jnp.asarray(matrix, self.alpha.dtype), self.coefficients, axes=1)
         lost = jnp.maximum(series, 0.0)
-        return 2.0 * jnp.sum(w * slope * cosine * lost / _scale(self.kind, cosine / self.alpha), axis=0)
+        return 2.0 * jnp.sum(w * slope * cosine * lost / scale_of(self.kind, cosine / self.alpha), axis=0)
 
 
 def loss(kind: str, alpha: Array) -> Loss:
     """The loss of a distribution "ggx" or "beckmann" of roughness alpha, () or (C,)."""
 
     def one(a: Array) -> Array:
-        cosine, _ = _cosine(kind, a, 0.5 + 0.5 * chebyshev.nodes(COSINES, a))
+        cosine, _ = cosine_at(kind, a, 0.5 + 0.5 * chebyshev.nodes(COSINES, a))
         # One after another: compiles in half the time of all at once, and is no slower.
         values = jax.lax.map(lambda c: _integral(kind, a, c), cosine)
-        return chebyshev.coefficients(values * _scale(kind, cosine / a))
+        return chebyshev.coefficients(values * scale_of(kind, cosine / a))
 
     found = jax.vmap(one, out_axes=1)(alpha) if alpha.ndim else one(alpha)
     return Loss(kind, alpha, found)
 
 
-def _top(kind: str, alpha: Array) -> Array:
+def top_of(kind: str, alpha: Array) -> Array:
     """The cosine beyond which nothing is lost: Beckmann's loss is about exp(-(c/alpha)^2/5)."""
     return jnp.minimum(10.0 * alpha, 1.0) if kind == "beckmann" else jnp.ones_like(alpha)
 
 
-def _scale(kind: str, ratio: Array) -> Array:
+def scale_of(kind: str, ratio: Array) -> Array:
     """What takes the fall of the loss with c/alpha out of what the polynomial has to follow."""
     square = ratio * ratio
     return jnp.exp(0.15 * square) if kind == "beckmann" else 1.0 + square
 
 
-def _cosine(kind: str, alpha: Array, x: Array) -> tuple[Array, Array]:
+def cosine_at(kind: str, alpha: Array, x: Array) -> tuple[Array, Array]:
     """The cosine at a polynomial's coordinate x in [0, 1], and its derivative."""
-    width = jnp.arcsinh(_top(kind, alpha) / alpha)
+    width = jnp.arcsinh(top_of(kind, alpha) / alpha)
     return alpha * jnp.sinh(width * x * x), 2.0 * alpha * width * x * jnp.cosh(width * x * x)
 
 

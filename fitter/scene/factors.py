@@ -95,7 +95,7 @@ def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles
         return 0.25 / np.maximum(v.lo, floor) * (1 + 1e-14)
 
 
-def _slopes(angles: Angles) -> Interval:
+def slopes(angles: Angles) -> Interval:
     """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1."""
     z = angles.lz + angles.vz
     return ((angles.dot + 1.0) * 2.0 / z.squared() - 1.0).clip(0, np.inf)
@@ -103,7 +103,7 @@ def _slopes(angles: Angles) -> Interval:
 
 def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tuple[Interval, Interval]:
     """D, and D of the mean roughness."""
-    tan2 = _slopes(angles)
+    tan2 = slopes(angles)
     if spec.anisotropic:
         ax, ay = values["alpha_x"], values["alpha_y"]
         area = ax * ay
@@ -129,7 +129,7 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     round_density = root.squared() * (1.0 / (math.pi * area))
     if not spec.anisotropic:
         return round_density, round_density
-    x, y = _turned(values["psi"], angles)
+    x, y = _half(values["psi"], angles)
     z = (angles.lz + angles.vz).squared()
     unequal = x.squared() * (1.0 / ax**2) + y.squared() * (1.0 / ay**2)
     wide = Interval(np.zeros(lo.shape), np.full(lo.shape, np.inf))
@@ -142,11 +142,15 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     return density, round_density
 
 
-def _turned(psi: float, angles: Angles) -> tuple[Interval, Interval]:
+def _half(psi: float, angles: Angles) -> tuple[Interval, Interval]:
     """H_x, H_y in the frame of roughness."""
-    x, y = angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
+    return turned(psi, (angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]))
+
+
+def turned(psi: float, w: tuple[Interval, Interval]) -> tuple[Interval, Interval]:
+    """Components in a frame whose x axis has azimuth psi."""
     c, s = math.cos(psi), math.sin(psi)
-    return x * c + y * s, y * c - x * s
+    return w[0] * c + w[1] * s, w[1] * c - w[0] * s
 
 
 def _root(alpha2: float | Interval, c: Interval) -> Interval:
@@ -200,6 +204,11 @@ def _visibility(
     return value, one
 
 
+def unshadowed(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> Interval:
+    """G, the share of facets that are both lit and seen."""
+    return _visibility(spec, values, frozenset({"masking"}), angles)[1].reciprocal().clip(0, 1)
+
+
 def _over_cosine(alpha: float, c: Interval) -> Interval:
     """sqrt(alpha^2/c^2 + 1 - alpha^2) for alpha up to 2: decreasing in c."""
 
@@ -233,8 +242,7 @@ def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple
     mean = ax * ay
 
     def projected(w: tuple[Interval, Interval], z: Interval) -> Interval:
-        c, s = math.cos(psi), math.sin(psi)
-        x, y = w[0] * c + w[1] * s, w[1] * c - w[0] * s
+        x, y = turned(psi, w)
         s2 = ((1.0 - z) * (1.0 + z)).clip(0, 1)
         between = Interval((s2 * min(ax, ay) ** 2).lo, (s2 * max(ax, ay) ** 2).hi)
         return (x.squared() * ax**2 + y.squared() * ay**2).where(angles.flat, between).meet(between)
@@ -252,13 +260,13 @@ def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple
 
 def ward(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles) -> tuple[Interval, Interval]:
     l, v = angles.lz, angles.vz
-    tan2 = _slopes(angles)
+    tan2 = slopes(angles)
     area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
     exponent = tan2 / area
     ratio = Interval.of(np.ones(l.lo.shape))
     if spec.anisotropic:
         ax, ay = values["alpha_x"], values["alpha_y"]
-        x, y = _turned(values["psi"], angles)
+        x, y = _half(values["psi"], angles)
         z = (l + v).squared()
         wide = Interval(np.zeros(l.lo.shape), np.full(l.lo.shape, np.inf))
         unequal = ((x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z).where(angles.flat, wide)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from fitter.progress import Progress, ignore
 from fitter.scene import effects
 from fitter.scene.assembly import Scene
+from fitter.scene.constants import constants_of
 from fitter.scene.integrate import Settings
 from fitter.scene.materials import ModelMaterial
-from fitter.scene.planning import constants_of
 from fitter.scene.rendering import Picture, Precision, render
 
 

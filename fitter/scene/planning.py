@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
-from fitter.scene import channels, effects, estimates, factors, occlusion, operations, wording
+from fitter.scene import channels, effects, estimates, occlusion, operations, wording
 from fitter.scene.assembly import Scene
 from fitter.scene.channels import Merged
+from fitter.scene.constants import constants_of
 from fitter.scene.criteria import Criteria
 from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
-from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.rendering import BATCH, Precision, padded, reference
 from fitter.scene.search import Decision, decide, hull
@@ -98,31 +98,6 @@ def prepass(scene: Scene, seed: int, rows: int) -> float:
         pixel, (seed, 2**31)
     )
     return reference(found[None].astype(np.float64), met[None].astype(np.float64))
-
-
-def constants_of(
-    scene: Scene, m: int, one: Material, surfaces: Surfaces | None = None
-) -> dict[str, Any]:  # fmt: skip
-    """What replaces the Fresnel term of ``one`` in place of material m: per channel the value whose largest
-    relative error over the scene is least."""
-    if not isinstance(one, ModelMaterial) or "fresnel" not in effects.effects(one.model):
-        return {}
-    surfaces = surfaces or Surfaces(scene)
-
-    def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
-        c = factors.facet_cosine(angles)
-        return c.lo, c.hi
-
-    low, high = hull(surfaces, surfaces.start(m, tuple(range(len(scene.lamps)))), cosines)
-    low, high = min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)
-    c = Interval.of(np.linspace(min(low, high), max(low, high), 65))
-    found: list[float] = []
-    for k in range(len(one.model.channels)):
-        f = factors.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
-        least, most = float(f.min()), float(f.max())
-        found.append(2 * least * most / (least + most) if most > 0 else 0.0)
-    # As the kernels hold it.
-    return {"fresnel": np.asarray(found, np.float32).astype(np.float64)}
 
 
 class _Planner:

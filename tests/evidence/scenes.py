@@ -45,6 +45,27 @@ BRUSHED = {
 MIRROR = {"model": "specular", "values": {"ks": 0.9}}
 WARD = {"model": "ward:bounded", "values": {"kd": 0.3, "ks": 0.1, "alpha": 0.2}}
 CLASSIC = {"model": "torrance_sparrow", "values": {"kd": 0.3, "ks": 0.5, "f0": 0.05, "alpha": 0.3}}
+COUPLED = {"model": {**_GGX, "diffuse": "coupled"}, "values": GLOSSY["values"]}
+LAFORTUNE = {
+    "model": "lafortune:2",
+    "values": {
+        "kd": 0.2, "ks_1": 0.3, "gamma_1": 0.85, "n_1": 40, "ks_2": 0.01, "gamma_2": -0.6, "n_2": 2.5,
+    },
+}  # fmt: skip
+STREAKED: dict[str, Any] = {
+    "model": "lafortune:anisotropic",
+    "values": {"kd": 0.2, "ks": 0.2, "gamma": 0.9, "delta": 0.6, "n": 12, "psi": 0.4},
+}
+PHONG = {"model": "phong", "values": {"kd": 0.3, "ks": 0.1, "n": 60}}
+BLINN = {"model": "blinn_phong", "values": {"kd": 0.3, "ks": 0.1, "n": 60}}
+VARNISHED = {
+    "model": "layered(lambert)", "values": {"base_kd": 0.5, "tau": 0.1, "eta": 1.5, "alpha": 0.15},
+}  # fmt: skip
+ENGINE = {
+    "model": "metallic_roughness", "values": {"base_color": 0.6, "metallic": 0.2, "roughness": 0.5},
+}  # fmt: skip
+AGAIN = {"model": "kulla_conty", "values": {"ks": 1.0, "f0": 0.6, "alpha": 0.25}}
+SUM = {"model": "sum(lambert, ward:no_diffuse)", "values": {"a_kd": 0.4, "b_ks": 0.05, "b_alpha": 0.15}}
 
 PLANE = {"kind": "plane", "size": [3, 3]}
 SMALL = {"kind": "plane", "size": [0.5, 0.5]}
@@ -88,6 +109,15 @@ SUITE: dict[str, dict[str, Any]] = {
     "mirror ball, sky": document([(BALL, MIRROR)], [SKY]),
     "ward plate, bulb": document([(PLANE, WARD)], [BULB]),
     "classic ball, sun": document([(BALL, CLASSIC)], [SUN]),
+    "lafortune ball, sun": document([(BALL, LAFORTUNE)], [SUN]),
+    "lafortune plate, lamp": document([(PLANE, LAFORTUNE)], [LAMP]),
+    "streaked tile, bulb": document([(SMALL, STREAKED)], [BULB]),
+    "phong plate, bulb": document([(PLANE, PHONG)], [BULB]),
+    "coupled ball, lamp": document([(BALL, COUPLED)], [LAMP]),
+    "varnished plate, sun": document([(PLANE, VARNISHED)], [SUN]),
+    "engine's material on a ball, bulb": document([(BALL, ENGINE)], [BULB]),
+    "kulla-conty tile, lamp": document([(SMALL, AGAIN)], [LAMP]),
+    "sum on a tile, lamp": document([(SMALL, SUM)], [LAMP]),
     "glossy ball, sky": document([(BALL, GLOSSY)], [SKY]),
     "ball on plate, sun and lamp (needs everything)": document(
         [(PLANE, GLOSSY), (NEAR, GLOSSY)], [SUN, LAMP]
@@ -102,6 +132,8 @@ def random_scene(rng: np.random.Generator) -> dict[str, Any]:
     def material() -> dict[str, Any]:
         kd, ks, f0 = rng.uniform(0, 0.8), rng.uniform(0.05, 1), rng.uniform(0, 1) ** 2
         alpha = float(np.exp(rng.uniform(np.log(0.03), np.log(0.9))))
+        n, n2 = 2 / alpha**2, rng.uniform(0, 5)
+        gamma = rng.uniform(-np.pi, np.pi)
         kinds: list[dict[str, Any]] = [
             {"model": _GGX, "values": {"kd": kd, "ks": ks, "f0": f0, "alpha": alpha}},
             {"model": "torrance_sparrow", "values": {"kd": kd, "ks": ks, "f0": f0, "alpha": alpha}},
@@ -110,7 +142,21 @@ def random_scene(rng: np.random.Generator) -> dict[str, Any]:
             {**METAL, "values": {**METAL["values"], "alpha": alpha}},
             {**BRUSHED, "values": {**BRUSHED["values"], "kd": kd, "alpha_x": alpha, "alpha_y": alpha * 1.1}},
             MATTE,
-        ]
+            {
+                "model": "lafortune:2",
+                "values": {
+                    "kd": kd, "ks_1": ks, "gamma_1": 0.8, "n_1": n, "ks_2": f0, "gamma_2": gamma, "n_2": n2,
+                },
+            },
+            {**STREAKED, "values": {**STREAKED["values"], "kd": kd, "ks": ks, "gamma": gamma, "n": n}},
+            {"model": "phong", "values": {"kd": kd, "ks": ks, "n": n}},
+            {"model": "blinn_phong", "values": {"kd": kd, "ks": ks, "n": n}},
+            {**COUPLED, "values": {"kd": kd, "ks": ks, "f0": f0, "alpha": alpha}},
+            {**VARNISHED, "values": {"base_kd": kd, "tau": ks, "eta": 1 + f0, "alpha": alpha}},
+            {**ENGINE, "values": {"base_color": kd, "metallic": f0, "roughness": alpha**0.5}},
+            {**AGAIN, "values": {"ks": ks, "f0": f0, "alpha": alpha}},
+            {**SUM, "values": {"a_kd": kd, "b_ks": ks, "b_alpha": alpha}},
+        ]  # fmt: skip
         return kinds[rng.integers(len(kinds))]
 
     def direction() -> list[float]:
