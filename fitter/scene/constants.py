@@ -22,8 +22,7 @@ FloatArray = NDArray[np.float64]
 def constants_of(
     scene: Scene, m: int, one: Material, surfaces: Surfaces | None = None
 ) -> dict[str, Any]:  # fmt: skip
-    """Of ``one`` in place of material m, of each channel the value whose largest relative error over the scene
-    is least."""
+    """Of ``one`` in place of material m, of each channel the value whose largest relative error is least."""
     if not isinstance(one, ModelMaterial):
         return {}
     model = one.model

@@ -34,7 +34,8 @@ def shown(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:
     point = np.stack([one.mid for one in angles.point], axis=1)
     away = surfaces.eye - point
     distance = np.linalg.norm(away, axis=1)
-    return surfaces.shows(point) & ~_blocked(surfaces, point, away / distance[:, None], distance, boxes.primitive)
+    towards = away / distance[:, None]
+    return surfaces.shows(point) & ~_blocked(surfaces, point, towards, distance, boxes.primitive)
 
 
 def shaded(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:

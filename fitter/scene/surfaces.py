@@ -251,7 +251,7 @@ class Surfaces:
             left = np.stack([h.lo <= wide for h in heights[1:]])
             reach.append(right & left)
         columns, rows = reach
-        return (rows[:, None] & columns[None] & self.tiles[..., None]).any(axis=(0, 1))
+        return np.any(rows[:, None] & columns[None] & self.tiles[..., None], axis=(0, 1))
 
     def shows(self, point: FloatArray) -> NDArray[np.bool_]:
         """(P,) whether points (P, 3) lie in a tile of the region."""
@@ -261,7 +261,7 @@ class Surfaces:
             heights = away @ normals.T
             inside.append((heights[:, :-1] >= 0) & (heights[:, 1:] <= 0))
         columns, rows = inside
-        return (rows[:, :, None] & columns[:, None] & self.tiles).any(axis=(1, 2))
+        return np.any(rows[:, :, None] & columns[:, None] & self.tiles, axis=(1, 2))
 
     def _light(
         self, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector, on_sphere: NDArray[np.bool_],
