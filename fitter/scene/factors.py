@@ -62,18 +62,23 @@ def facets(
     angles: Angles,
     k: int,
 ) -> tuple[Interval, Interval, Interval]:
-    density, round_density = _density(spec, values, angles)
-    visible, substitute = _visibility(spec, values, off, angles)
-    lit = visible * angles.lz
-    lit = Interval(lit.lo, np.minimum(lit.hi, _lit_visibility(spec, values, angles)))
-    fresnel = reflectance(spec, values, facet_cosine(angles))
-    ratio = substitute
+    key = spec.name, *values.values()
+    hidden = off & {"masking", "hammon", "anisotropy"}
+    density, round_density = angles.once((key, "density"), lambda: _density(spec, values, angles))
+    visible, ratio = angles.once((key, hidden), lambda: _visibility(spec, values, hidden, angles))
+    fresnel = angles.once((key, "fresnel"), lambda: reflectance(spec, values, facet_cosine(angles)))
     if "fresnel" in off:
         ratio = ratio * (Interval.of(float(np.asarray(constants["fresnel"])[k])) / fresnel)
     if "anisotropy" in off:
         ratio = ratio * (round_density / density)
-    value = density * visible * fresnel
-    return value.clip(0, np.inf), (density * lit * fresnel).clip(0, np.inf), ratio.clip(0, np.inf)
+
+    def lobe() -> tuple[Interval, Interval]:
+        lit = visible * angles.lz
+        lit = Interval(lit.lo, np.minimum(lit.hi, _lit_visibility(spec, values, angles)))
+        found = density * fresnel
+        return (found * visible).clip(0, np.inf), (found * lit).clip(0, np.inf)
+
+    return *angles.once((key, "lobe"), lobe), ratio.clip(0, np.inf)
 
 
 def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> FloatArray:
@@ -132,12 +137,8 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     x, y = _turned(values["psi"], angles)
     z = (angles.lz + angles.vz).squared()
     unequal = x.squared() * (1.0 / ax**2) + y.squared() * (1.0 / ay**2)
-    wide = Interval(np.zeros(lo.shape), np.full(lo.shape, np.inf))
-    stretched = (
-        (unequal / z)
-        .where(angles.flat, wide)
-        .meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
-    )
+    between = Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi)
+    stretched = (unequal / z).meet(between)
     density = (sec2 / (stretched + 1.0)).squared() * (1.0 / (math.pi * area))
     return density, round_density
 
@@ -189,13 +190,10 @@ def _visibility(
     if "masking" in off:
         return value, inverse
     if "hammon" in off:
-        a, b = l.reciprocal(), v.reciprocal()
-        plain = (a + b) * alpha + 2.0 * (1.0 - alpha)
-        with np.errstate(invalid="ignore"):
-            ratio = (p + q) / plain
+        plain = (l.reciprocal() + v.reciprocal()) * alpha + 2.0 * (1.0 - alpha)
+        ratio = 1.0 - (_saved(alpha, l) + _saved(alpha, v)) / plain
         # Each sum's terms: h/g lies between sqrt((1 + alpha)/2) and 1 (see the module).
         least = math.sqrt((1.0 + alpha) / 2.0) * (1 - 1e-15)
-        ratio = Interval(np.nan_to_num(ratio.lo, nan=0.0), np.nan_to_num(ratio.hi, nan=1.0))
         return value, ratio.clip(min(least, 1.0), 1.0)
     return value, one
 
@@ -208,6 +206,19 @@ def _over_cosine(alpha: float, c: Interval) -> Interval:
             return np.hypot(1.0, alpha * np.sqrt(np.maximum((1 - x) * (1 + x), 0.0)) / x)
 
     return increasing(at(c.hi), at(c.lo))
+
+
+def _saved(alpha: float, c: Interval) -> Interval:
+    """alpha/c + 1 - alpha, what Hammon's form has, less sqrt(alpha^2/c^2 + 1 - alpha^2), alpha up to 1,
+    without a difference of what is large at grazing: decreasing in c, from 1 - alpha to 0."""
+
+    def at(x: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            y = alpha / x
+            return (1.0 - alpha) * (1.0 - (1.0 + alpha) / (y + np.hypot(y, math.sqrt(1.0 - alpha * alpha))))
+
+    low, high = at(c.hi), at(c.lo)
+    return Interval(low - 1e-15, high + 1e-15).clip(0.0, 1.0 - alpha)
 
 
 def _beckmann(alpha: float, c: Interval) -> Interval:
@@ -227,7 +238,7 @@ def _beckmann(alpha: float, c: Interval) -> Interval:
 
 
 def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple[Interval, Interval]:
-    """Height-correlated Smith of two roughnesses; on spheres between those of either."""
+    """Height-correlated Smith of two roughnesses, between those of either."""
     ax, ay, psi = values["alpha_x"], values["alpha_y"], values["psi"]
     l, v = angles.lz, angles.vz
     mean = ax * ay
@@ -237,7 +248,7 @@ def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple
         x, y = w[0] * c + w[1] * s, w[1] * c - w[0] * s
         s2 = ((1.0 - z) * (1.0 + z)).clip(0, 1)
         between = Interval((s2 * min(ax, ay) ** 2).lo, (s2 * max(ax, ay) ** 2).hi)
-        return (x.squared() * ax**2 + y.squared() * ay**2).where(angles.flat, between).meet(between)
+        return (x.squared() * ax**2 + y.squared() * ay**2).meet(between)
 
     exact = (
         v * (l.squared() + projected(angles.l, l)).sqrt() + l * (v.squared() + projected(angles.v, v)).sqrt()
@@ -260,12 +271,11 @@ def ward(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles)
         ax, ay = values["alpha_x"], values["alpha_y"]
         x, y = _turned(values["psi"], angles)
         z = (l + v).squared()
-        wide = Interval(np.zeros(l.lo.shape), np.full(l.lo.shape, np.inf))
-        unequal = ((x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z).where(angles.flat, wide)
+        unequal = (x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z
         unequal = unequal.meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
         if "anisotropy" in off:
             apart = x.squared() * (1 / ax**2 - 1 / area) + y.squared() * (1 / ay**2 - 1 / area)
-            ratio = (apart / z).where(angles.flat, unequal - exponent).exp()
+            ratio = (apart / z).meet(unequal - exponent).exp()
         exponent = unequal
     if spec.variant == "bounded":
         level = (angles.dot + 1.0) * (2.0 / (math.pi * area)) / (l + v).squared().squared()
