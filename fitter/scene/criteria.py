@@ -222,7 +222,7 @@ class Criteria:
 
             def summed(x: FloatArray, level: FloatArray = level) -> FloatArray:
                 x = np.nan_to_num(x, nan=0.0, posinf=1e300, neginf=-1e300)
-                return (x[:, None] * level).reshape(count, many, -1).sum(axis=1)
+                return (x[:, None] * level).reshape(count, many, level.shape[1]).sum(axis=1)
 
             for k, off in enumerate(sets):
                 parts = effects.terms(model, off, constants, angles, channel)
