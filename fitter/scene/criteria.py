@@ -1,10 +1,10 @@
 """Criteria: bounds of the error over cells, and the error at points, for :mod:`fitter.scene.search`.
 
 At a point of a surface light adds up from pieces of lamps, each in full, in part or not at all: things stand
-between. Leaving effects out changes what piece k sends back by at most d_k (over 0.01 F), or e_k times what
-it sends. The error is then at most the largest of sum x d / max(sum x d/e, 1) over 0 <= x <= 1: a knapsack
-that takes fractions, the largest e first, until it is full. Its dual, m + sum max(0, d (1 - m/e)), is a bound
-for any m; m is the e of the piece that fills it. With one lamp without extent that is min(e, d).
+between. Leaving effects out changes what piece k sends back, l_k (over 0.01 F), by at most d_k and by at most
+e_k l_k. The error, sum x d / max(sum x l, 1) with 0 <= x <= 1, is a knapsack's that takes fractions. Its
+dual, m + max(0, sum max(0, d (1 - m/e))), is a bound for any m >= 0. Where nothing stands between, l_k >= s_k
+is sure, and pieces with e < m take (m - e) s off that sum. With one lamp without extent it is min(e, d).
 """
 
 from __future__ import annotations
@@ -34,14 +34,18 @@ Groups = Sequence[tuple[int, list[int]]]
 _RIM = 1e-290
 #: Boxes of no size that points are tried with at once.
 _TRIED, _POINTS = 16_000, 400
+#: Halvings of the interval that m is sought in, and where it ends.
+_HALVINGS, _LARGEST = 10, 1e3
 
 
 class Criteria:
-    """Of one scene; ``floor`` is the radiance that errors are relative to at least, 0.01 F."""
+    """Of one scene; ``floor`` is the radiance that errors are relative to at least, 0.01 F, and ``clear``
+    says of each lamp whether nothing can stand before it."""
 
-    def __init__(self, scene: Scene, surfaces: Surfaces, floor: float) -> None:
+    def __init__(self, scene: Scene, surfaces: Surfaces, floor: float, clear: Sequence[bool]) -> None:
         self.scene, self.surfaces, self.floor = scene, surfaces, floor
         self.lamps = tuple(range(len(scene.lamps)))
+        self.clear = np.array(clear)
         skies = [one for one in scene.lamps if one.kind == "environment"]
         self.budget = 2_000 if skies else search.BUDGET
         #: Whether errors at points are not known: under a sky of many colours, or one that things hide.
@@ -58,9 +62,10 @@ class Criteria:
         return self._decide(start, one, sets, constants, tolerance, found)
 
     def first(
-        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float
+        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float,
+        known: Mapping[Off, Decision],
     ) -> Iterator[Decision]:  # fmt: skip
-        """The same one by one, up to the first that is bounded."""
+        """The same one by one, up to the first that is bounded; some are ``known``."""
         if not sets:
             return
         start, found = self._probed(m, one, sets, constants, tolerance)
@@ -69,7 +74,7 @@ class Criteria:
             if any(bad <= off for bad in failed):
                 yield Decision("open", np.inf, float(met), 0)
                 continue
-            (decision,) = self._decide(start, one, [off], constants, tolerance, met[None])
+            decision = known.get(off) or self._decide(start, one, [off], constants, tolerance, met[None])[0]
             yield decision
             if decision.state == "bounded":
                 return
@@ -127,11 +132,16 @@ class Criteria:
         found, angles, taken = self._seen(cells, self.lamps)
         shape = len(cells), int(found.piece.max(initial=0)) + 1
         worst = np.zeros((len(sets), len(cells)))
+        open_ = self.clear[found.boxes.lamp]
         for channel, members in groups:
+            sure = np.zeros(len(open_))
+            if shape[1] > 1:
+                parts = effects.terms(model, frozenset(), constants, angles, channel)
+                sure = np.where(open_, self.certain(parts, angles, found.boxes, members), 0.0) * found.share
             for k, off in enumerate(sets):
                 e, absolute, _ = effects.relative(effects.terms(model, off, constants, angles, channel))
                 d = self.over_floor(absolute, found.boxes, angles, members) * found.share
-                worst[k] = np.maximum(worst[k], _joint(e, d, found, shape))
+                worst[k] = np.maximum(worst[k], _joint(e, d, sure, found, shape))
         return worst, taken
 
     def _seen(self, cells: Cells, lamps: tuple[int, ...]) -> tuple[Pieces, Angles, int]:
@@ -156,10 +166,16 @@ class Criteria:
                 parts = effects.terms(one.model, frozenset(), {}, angles, channel)
                 total = self.over_floor(effects.relative(parts)[2], found.boxes, angles, members)
                 mine = np.bincount(found.cell, total * found.share, len(cells)) * (1 + 1e-12)
-                rest = self.certain(one.model, channel, cells, others, members)
+                rest = np.zeros(len(cells))
+                if others:
+                    beside = cells_of.pieces(self.surfaces, cells, others)
+                    there = self.surfaces.angles(beside.boxes)
+                    parts = effects.terms(one.model, frozenset(), {}, there, channel)
+                    sure = self.certain(parts, there, beside.boxes, members) * beside.share
+                    rest = np.bincount(beside.cell, sure, len(cells)) * (1 - 1e-12)
                 with np.errstate(invalid="ignore", divide="ignore"):
-                    beside = np.where(mine > 0, 1.0 / (1.0 + rest / mine), 0.0)
-                worst = np.maximum(worst, np.fmin(mine, beside * (1 + 1e-14)))
+                    most = np.where(mine > 0, 1.0 / (1.0 + rest / mine), 0.0)
+                worst = np.maximum(worst, np.fmin(mine, most * (1 + 1e-14)))
             return worst, taken
 
         def errors(primitive: IntArray, at: FloatArray) -> FloatArray:
@@ -244,38 +260,43 @@ class Criteria:
         return np.where(shown, error.max(axis=2), 0.0)
 
     def certain(
-        self, model: Any, channel: int, cells: Cells, others: tuple[int, ...], members: Sequence[int]
+        self, parts: Sequence[effects.Term], angles: Angles, boxes: Boxes, members: Sequence[int]
     ) -> FloatArray:
-        """A lower bound of the radiance over 0.01 F that lamps without extent, never shaded, give everywhere
-        in cells."""
-        if not others:
-            return np.zeros(len(cells))
-        found = cells_of.pieces(self.surfaces, cells, others)
-        angles = self.surfaces.angles(found.boxes)
-        parts = effects.terms(model, frozenset(), {}, angles, channel)
-        low = sum((part.value.lo for part in parts), np.zeros(len(found.cell)))
-        level = np.array([one.level[list(members)].min() for one in self.scene.lamps])[found.boxes.lamp]
-        with np.errstate(invalid="ignore"):
-            radiance = np.nan_to_num(low * angles.lz.lo * angles.arriving.lo * level, nan=0.0, posinf=0.0)
-        return np.bincount(found.cell, radiance, len(cells)) * (1 - 1e-12) / self.floor
+        """A lower bound of the radiance over 0.01 F that lamps send back which nothing hides."""
+        low = sum((part.value.lo for part in parts), np.zeros(len(boxes)))
+        level = np.array([one.level[list(members)].min() for one in self.scene.lamps])[boxes.lamp]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            radiance = low * angles.lz.lo * angles.arriving.lo * level * (1 - 1e-12) / self.floor
+        return np.nan_to_num(radiance, nan=0.0, posinf=0.0)
 
 
-def _joint(e: FloatArray, d: FloatArray, found: Pieces, shape: tuple[int, int]) -> FloatArray:
-    """The bound (B,) of pieces' e and d (see the module)."""
+def _joint(
+    e: FloatArray, d: FloatArray, sure: FloatArray, found: Pieces, shape: tuple[int, int]
+) -> FloatArray:
+    """The bound (B,) of pieces' e, d and s (see the module)."""
     if shape[1] == 1:
         bound = np.zeros(shape[0])
         bound[found.cell] = np.fmin(e, d)
         return bound
-    each, change = np.zeros(shape), np.zeros(shape)
-    each[found.cell, found.piece], change[found.cell, found.piece] = e, d
-    order = np.argsort(-each, axis=1, kind="stable")
+    each, change, least = np.zeros((3, *shape))
+    for whole, part in ((each, e), (change, d), (least, sure)):
+        whole[found.cell, found.piece] = part
+    largest = each.max(axis=1)
+    low, high = np.zeros(shape[0]), np.minimum(largest, _LARGEST)
+    bound = np.minimum(largest, change.sum(axis=1))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         size = np.where(change > 0, change / each, 0.0)
-        # inf/inf: no piece is larger.
-        size = np.take_along_axis(np.nan_to_num(size, nan=np.inf, posinf=np.inf), order, axis=1)
-        full = np.cumsum(size, axis=1) >= 1.0
-        last = np.take_along_axis(order, full.argmax(axis=1)[:, None], axis=1)
-        m = np.where(full.any(axis=1, keepdims=True), np.take_along_axis(each, last, axis=1), 0.0)
-        over = np.where(each > m, change * (1.0 - m / each), 0.0).sum(axis=1)
-    # A sum and three roundings of positive numbers.
-    return np.minimum(m[:, 0] + over, each.max(axis=1)) * (1 + 1e-12)
+        for _ in range(_HALVINGS):
+            m = 0.5 * (low + high)
+            over = each > m[:, None]
+            more = np.where(over, change - m[:, None] * size, 0.0)
+            less = np.where(over, 0.0, m[:, None] - each) * least
+            surplus = more.sum(axis=1) - less.sum(axis=1)
+            # What the roundings of all terms come to at most.
+            slack = 1e-12 * (np.where(over, change, 0.0).sum(axis=1) + m * least.sum(axis=1))
+            bound = np.fmin(bound, m + np.maximum(surplus + slack, 0.0))
+            # Convex in m: its slope says where the least is.
+            steep = np.where(over, size, least).sum(axis=1) > 1.0
+            up = steep & ~(surplus <= 0)
+            low, high = np.where(up, m, low), np.where(up, high, m)
+    return bound * (1 + 1e-12)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene.intervals import Interval, increasing
+from fitter.scene.intervals import Interval, increasing, unit_component
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
@@ -101,13 +101,13 @@ def facets(
 ) -> tuple[Interval, Interval, Interval]:
     key = spec.name, *values.values()
     hidden = off & {"masking", "hammon", "anisotropy"}
-    density, round_density = angles.once((key, "density"), lambda: _density(spec, values, angles))
+    density, rounder = angles.once((key, "density"), lambda: _density(spec, values, angles))
     visible, ratio = angles.once((key, hidden), lambda: _visibility(spec, values, hidden, angles))
     fresnel = angles.once((key, "fresnel"), lambda: reflectance(spec, values, facet_cosine(angles)))
     if "fresnel" in off:
         ratio = ratio * (Interval.of(float(np.asarray(constants["fresnel"])[k])) / fresnel)
     if "anisotropy" in off:
-        ratio = ratio * (round_density / density)
+        ratio = ratio * rounder
 
     def lobe() -> tuple[Interval, Interval]:
         lit = visible * angles.lz
@@ -144,54 +144,48 @@ def _slopes(angles: Angles) -> Interval:
 
 
 def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tuple[Interval, Interval]:
-    """D, and D of the mean roughness."""
+    """D, and of two roughnesses that of the mean one over it."""
     tan2 = _slopes(angles)
-    if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        area = ax * ay
-    else:
-        ax = ay = values["alpha"]
-        area = ax * ay
-    scaled = tan2 / area
-    sec2 = tan2 + 1.0
+    area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
     if spec.ndf == "beckmann":
-        found = (-scaled).exp() * sec2.squared() * (1.0 / (math.pi * area))
-        return found, found
-    # The square of one quotient, (1 + t)/(1 + t/alpha^2) of t = tan^2, which is monotone.
-    lo, hi = tan2.lo, tan2.hi
-
-    def quotient(t: FloatArray) -> FloatArray:
-        with np.errstate(invalid="ignore"):
-            found = (1.0 + t) / (1.0 + t / area)
-        # Its limit, which it is within 1e-90 of.
-        return np.where(t > 1e100, area, found)
-
-    ends = quotient(lo), quotient(hi)
-    root = increasing(np.minimum(*ends), np.maximum(*ends))
-    round_density = root.squared() * (1.0 / (math.pi * area))
-    if not spec.anisotropic:
-        return round_density, round_density
-    x, y = _turned(values["psi"], angles)
-    z = (angles.lz + angles.vz).squared()
-    unequal = x.squared() * (1.0 / ax**2) + y.squared() * (1.0 / ay**2)
-    between = Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi)
-    stretched = (unequal / z).meet(between)
-    density = (sec2 / (stretched + 1.0)).squared() * (1.0 / (math.pi * area))
-    return density, round_density
+        found = (-(tan2 / area)).exp() * (tan2 + 1.0).squared() * (1.0 / (math.pi * area))
+        return found, Interval.of(np.ones(tan2.lo.shape))
+    cos2 = (tan2 + 1.0).reciprocal()
+    stretch = Interval.of(1.0 / area)
+    if spec.anisotropic:
+        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
+    # 1/(pi area (cos^2 + stretch sin^2)^2), and the ratio as 1 + (difference of stretches) times one term.
+    density = _mixed(cos2, stretch).squared().reciprocal() * (1.0 / (math.pi * area))
+    ratio = (stretch - 1.0 / area) * (tan2.reciprocal() + 1.0 / area).reciprocal() + 1.0
+    return density, ratio.clip(0, np.inf).squared()
 
 
-def _turned(psi: float, angles: Angles) -> tuple[Interval, Interval]:
-    """H_x, H_y in the frame of roughness."""
-    x, y = angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
-    c, s = math.cos(psi), math.sin(psi)
-    return x * c + y * s, y * c - x * s
+def _half(angles: Angles) -> tuple[Interval, Interval]:
+    return angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
+
+
+def _mean(
+    values: Mapping[str, float], along: float, across: float, w: tuple[Interval, Interval]
+) -> Interval:  # fmt: skip
+    """along cos^2 + across sin^2 of the azimuth of w in the frame of roughness, which appears once."""
+    c, s = math.cos(values["psi"]), math.sin(values["psi"])
+    x, y = w[0] * c + w[1] * s, w[1] * c - w[0] * s
+    found = unit_component(x, y.squared()).squared() * (along - across) + across
+    return found.clip(min(along, across) * (1 - 1e-15), max(along, across) * (1 + 1e-15))
+
+
+def _mixed(w: Interval, a: Interval) -> Interval:
+    """w + a (1 - w) of w in [0, 1], linear in both."""
+    w = w.clip(0, 1)
+    low = np.minimum(w.lo + a.lo * (1 - w.lo), w.hi + a.lo * (1 - w.hi))
+    high = np.maximum(w.lo + a.hi * (1 - w.lo), w.hi + a.hi * (1 - w.hi))
+    return increasing(low, high)
 
 
 def _root(alpha2: float | Interval, c: Interval) -> Interval:
-    """sqrt(alpha^2 + (1 - alpha^2) c^2) over c in [0, 1]: monotone in c."""
+    """sqrt(alpha^2 + (1 - alpha^2) c^2) over c in [0, 1]."""
     a = alpha2 if isinstance(alpha2, Interval) else Interval.of(alpha2)
-    s2 = ((1.0 - c) * (1.0 + c)).clip(0, 1)
-    return (c.squared() + a * s2).sqrt()
+    return _mixed(c.squared(), a).sqrt()
 
 
 def _visibility(
@@ -203,10 +197,9 @@ def _visibility(
     if spec.masking in (None, "v_groove"):
         both = angles.dot + 1.0
         g = ((l + v) * l.minimum(v) * 2.0 / both).clip(0, 1)
-        larger = l.maximum(v)
-        # G/(4 l v) is 1/(4 l v) or (l + v)/(2 (1 + l.v) max).
+        # G/(4 l v) is 1/(4 l v) or (l + v)/(2 (1 + l.v) max); the sum over the larger is 1 to 2.
         lit = (l * v).reciprocal() * 0.25
-        shaded = (l + v) / (both * larger * 2.0)
+        shaded = ((l + v) / l.maximum(v)).clip(1, 2) / (both * 2.0)
         value = lit.minimum(shaded)
         return value.clip(0, np.inf), (g.reciprocal() if "masking" in off else one)
     if spec.ndf == "beckmann":
@@ -275,26 +268,24 @@ def _beckmann(alpha: float, c: Interval) -> Interval:
 
 
 def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple[Interval, Interval]:
-    """Height-correlated Smith of two roughnesses, between those of either."""
-    ax, ay, psi = values["alpha_x"], values["alpha_y"], values["psi"]
+    """Height-correlated Smith of two roughnesses, each direction's as one of its azimuth."""
+    squares = values["alpha_x"] ** 2, values["alpha_y"] ** 2
     l, v = angles.lz, angles.vz
-    mean = ax * ay
-
-    def projected(w: tuple[Interval, Interval], z: Interval) -> Interval:
-        c, s = math.cos(psi), math.sin(psi)
-        x, y = w[0] * c + w[1] * s, w[1] * c - w[0] * s
-        s2 = ((1.0 - z) * (1.0 + z)).clip(0, 1)
-        between = Interval((s2 * min(ax, ay) ** 2).lo, (s2 * max(ax, ay) ** 2).hi)
-        return (x.squared() * ax**2 + y.squared() * ay**2).meet(between)
-
-    exact = (
-        v * (l.squared() + projected(angles.l, l)).sqrt() + l * (v.squared() + projected(angles.v, v)).sqrt()
-    )
+    mean = values["alpha_x"] * values["alpha_y"]
+    a, b = (_mean(values, *squares, w) for w in (angles.l, angles.v))
+    exact = v * _root(a, l) + l * _root(b, v)
     value = 0.5 / exact
+    # tan^2 of each direction.
+    p, q = ((c.squared().reciprocal() - 1.0).clip(0, np.inf) for c in (l, v))
     if "masking" in off:
-        return value, exact / (l * v * 2.0)
+        return value, ((a * p + 1.0).sqrt() + (b * q + 1.0).sqrt()) * 0.5
     if "anisotropy" in off:
-        return value, exact / (v * _root(mean, l) + l * _root(mean, v))
+        # Sums of two terms each: the quotient lies between those of the terms, sqrt(1 + (a - mean) x).
+        one, two = (
+            ((one - mean) * (t.reciprocal() + mean).reciprocal() + 1.0).sqrt() for one, t in ((a, p), (b, q))
+        )
+        between = Interval(np.minimum(one.lo, two.lo), np.maximum(one.hi, two.hi))
+        return value, (exact / (v * _root(mean, l) + l * _root(mean, v))).meet(between)
     return value, Interval.of(np.ones(l.lo.shape))
 
 
@@ -305,15 +296,10 @@ def ward(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles)
     exponent = tan2 / area
     ratio = Interval.of(np.ones(l.lo.shape))
     if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        x, y = _turned(values["psi"], angles)
-        z = (l + v).squared()
-        unequal = (x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z
-        unequal = unequal.meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
+        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
         if "anisotropy" in off:
-            apart = x.squared() * (1 / ax**2 - 1 / area) + y.squared() * (1 / ay**2 - 1 / area)
-            ratio = (apart / z).meet(unequal - exponent).exp()
-        exponent = unequal
+            ratio = ((stretch - 1.0 / area) * tan2).exp()
+        exponent = stretch * tan2
     if spec.variant == "bounded":
         level = (angles.dot + 1.0) * (2.0 / (math.pi * area)) / (l + v).squared().squared()
     elif spec.variant == "duer":

@@ -109,11 +109,11 @@ class _Planner:
     def __init__(self, scene: Scene, tolerance: float, floor: float) -> None:
         self.scene, self.tolerance, self.floor = scene, tolerance, floor * FLOOR
         self.surfaces = Surfaces(scene)
-        self.criteria = Criteria(scene, self.surfaces, self.floor)
         self.lamps = tuple(range(len(scene.lamps)))
         #: Of each lamp whether nothing can stand before it, the boxes it took, points where it does.
         self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
         self.clear = [found for found, *_ in self.proofs]
+        self.criteria = Criteria(scene, self.surfaces, self.floor, self.clear)
 
     def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]], float]:
         decisions: list[dict[str, Any]] = []
@@ -163,7 +163,8 @@ class _Planner:
         free = [effect for effect, found in single.items() if found.state == "bounded" and saved[effect] > 0]
         chosen, bound = frozenset[str](), 0.0
         sets = self._sets(free, one, constants)
-        for off, found in zip(sets, self.criteria.first(m, one, sets, constants, left), strict=False):
+        known = dict(zip(alone, single.values(), strict=True))
+        for off, found in zip(sets, self.criteria.first(m, one, sets, constants, left, known), strict=False):
             if found.state == "bounded":
                 chosen, bound = off, found.bound
         for effect, found in single.items():
