@@ -111,7 +111,7 @@ def halves(surfaces: Surfaces, cells: Cells) -> Cells:
         ball[:, None],
         np.stack([theta[0] - theta[1], wide[:, 1] * np.sin(theta[0])], axis=1), wide / near,
     )  # fmt: skip
-    turn[:, 2] = span * 0.5 ** ((cells.level + 1) // 2)
+    turn[:, 2] = 0.5 * span * 0.5 ** ((cells.level + 1) // 2)
     cut = np.argmax(turn, axis=1)
     lamps = cut == 2
     finer = cells.take(lamps)

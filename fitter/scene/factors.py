@@ -138,9 +138,16 @@ def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles
 
 
 def _slopes(angles: Angles) -> Interval:
-    """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1."""
-    z = angles.lz + angles.vz
-    return ((angles.dot + 1.0) * 2.0 / z.squared() - 1.0).clip(0, np.inf)
+    """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1, and by the half vector's own components, which are exact
+    to second order where they are small."""
+
+    def found() -> Interval:
+        z2 = (angles.lz + angles.vz).squared()
+        x, y = _half(angles)
+        whole = ((angles.dot + 1.0) * 2.0 / z2 - 1.0).clip(0, np.inf)
+        return ((x.squared() + y.squared()) / z2).meet(whole)
+
+    return angles.once("slopes", found)
 
 
 def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tuple[Interval, Interval]:

@@ -227,6 +227,10 @@ class Surfaces:
         l_t, v_t = (l[0], l[1]), (v[0], v[1])
         if on_sphere.any():
             l_t, v_t = (self._tangential(frame, n, w, z, on_sphere) for w, z in ((l, lz), (v, vz)))
+        if sky_sphere.any():
+            # Azimuths are from the viewer's, wherever the tangents are.
+            any_ = Interval(np.full(len(boxes), -1.0), np.full(len(boxes), 1.0))
+            l_t, v_t = ((any_.where(sky_sphere, w[0]), any_.where(sky_sphere, w[1])) for w in (l_t, v_t))
         return Angles(lz, vz, dot, l_t, v_t, arriving, seen, world)
 
     def _tangential(
