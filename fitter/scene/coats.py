@@ -53,7 +53,7 @@ def beneath(values: Mapping[str, float], angles: Angles) -> Angles:
     return dataclasses.replace(
         angles, lz=(own * l + other * v).clip(0, 1), vz=(other * l + own * v).clip(0, 1),
         dot=(1.0 - (1.0 - angles.dot) / n2).clip(-1, 1), l=(whole, whole), v=(whole, whole),
-        flat=np.zeros_like(angles.flat),
+        kept={},
     )  # fmt: skip
 
 

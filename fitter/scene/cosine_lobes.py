@@ -5,8 +5,7 @@ n.l n.v, with m = (Cx + Cy)/2 and d = (Cx - Cy)/2,
 
     Cx lx vx + Cy ly vy + Cz lz vz = m l.v + (Cz - m) lz vz + d (lx vx - ly vy):
 
-isotropic lobes have every variable once. On spheres, whose tangents are not followed, the last bracket is
-within sqrt(1 - lz^2) sqrt(1 - vz^2) of 0; on flat shapes the left side is enclosed as it stands, too.
+isotropic lobes have every variable once. The left side is enclosed as it stands, too.
 """
 
 from __future__ import annotations
@@ -62,14 +61,12 @@ def _power(c: tuple[float, float, float], psi: float, n: float, angles: Angles) 
     along = angles.lz * angles.vz
     (lx, ly), (vx, vy) = (turned(psi, w) for w in (angles.l, angles.v))
     ax, ay = lx * vx, ly * vy
-    whole = Interval(np.full(along.lo.shape, -1.0), np.full(along.lo.shape, 1.0))
     mean = (x + y) * 0.5
     base = mean * angles.dot + (z - mean) * along
     if c[0] != c[1]:
-        across = ((1.0 - angles.lz.squared()) * (1.0 - angles.vz.squared())).clip(0, 1).sqrt().hi
-        base = base + (x - y) * 0.5 * (ax - ay).where(angles.flat, Interval(-across, across))
+        base = base + (x - y) * 0.5 * (ax - ay)
     # No longer than wi and wo, as the largest coefficient is 1.
-    base = base.meet((x * ax + y * ay + z * along).where(angles.flat, whole)).clip(-1, 1)
+    base = base.meet(x * ax + y * ay + z * along).clip(-1, 1)
     raised = (base.log() * n).exp()
     # The models take what is below 4 times the smallest normal number as 0.
     certain = base.lo > 1e-37

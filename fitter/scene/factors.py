@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene.intervals import Interval, increasing
+from fitter.scene.intervals import Interval, increasing, unit_component
 from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 FloatArray = NDArray[np.float64]
 Off = frozenset[str]
+
+#: Cells of the tables of exact Fresnel terms, a power of two.
+_CELLS = 1 << 13
 
 
 def facet_cosine(angles: Angles) -> Interval:
@@ -27,31 +31,64 @@ def facet_cosine(angles: Angles) -> Interval:
 
 def reflectance(spec: ModelSpec, values: Mapping[str, float], c: Interval) -> Interval:
     """The Fresnel term over an interval of cosines."""
-    one = Interval.of(np.ones(c.lo.shape))
     if spec.fresnel == "schlick":
         f0 = values["f0"]
         return ((1.0 - c).clip(0, 1).power5() * (1.0 - f0) + f0).clip(0.0, max(1.0, f0))
-    if spec.fresnel == "dielectric":
-        n2 = Interval.of(values["eta"]).squared()
-        c2 = c.squared()
+    if spec.fresnel in (None, "none"):
+        return Interval.of(np.ones(c.lo.shape))
+    exact = values["eta"], values["kappa"] if spec.fresnel == "conductor" else None
+    low, high = _table(*exact)
+    # The cells that hold both ends, and all between, as two rows of a power of two of them that overlap.
+    first, last = (np.clip((x * _CELLS).astype(np.intp), 0, _CELLS - 1) for x in (c.lo, c.hi))
+    level = np.frexp(last - first + 1)[1] - 1
+    other = last - (1 << level) + 1
+    wide = Interval(
+        np.minimum(low[level, first], low[level, other]), np.maximum(high[level, first], high[level, other])
+    )
+    narrow = np.flatnonzero(level == 0)
+    if not len(narrow):
+        return wide
+    near = _exact(*exact, Interval(c.lo[narrow], c.hi[narrow])).meet(
+        Interval(wide.lo[narrow], wide.hi[narrow])
+    )
+    wide.lo[narrow], wide.hi[narrow] = near.lo, near.hi
+    return wide
+
+
+@lru_cache(maxsize=64)
+def _table(eta: float, kappa: float | None) -> tuple[FloatArray, FloatArray]:
+    """Bounds of an exact Fresnel term over 2^k cells of cosines from each on, in row k: it need not be
+    monotone, and each cosine appears in it often."""
+    edges = np.arange(_CELLS + 1) / _CELLS
+    one = _exact(eta, kappa, Interval(edges[:-1], edges[1:]))
+    low, high = [one.lo], [one.hi]
+    for k in range(_CELLS.bit_length() - 1):
+        on = np.minimum(np.arange(_CELLS) + (1 << k), _CELLS - 1)
+        low.append(np.minimum(low[-1], low[-1][on]))
+        high.append(np.maximum(high[-1], high[-1][on]))
+    return np.stack(low), np.stack(high)
+
+
+def _exact(eta: float, kappa: float | None, c: Interval) -> Interval:
+    """Fresnel's equations for a dielectric, or (with ``kappa``) a conductor."""
+    c2 = c.squared()
+    if kappa is None:
+        n2 = Interval.of(eta).squared()
         g = (n2 - 1.0 + c2).clip(0, np.inf).sqrt()
         s = ((n2 - 1.0) / (c + g).squared()).squared()
         p = ((n2 - 1.0) * (c2 * (n2 + 1.0) - 1.0) / (n2 * c + g).squared()).squared()
         return ((s + p) * 0.5).clip(0, 1)
-    if spec.fresnel == "conductor":
-        eta, kappa = Interval.of(values["eta"]), Interval.of(values["kappa"])
-        c2 = c.squared()
-        s2 = (1.0 - c2).clip(0, 1)
-        q = eta.squared() - kappa.squared() - s2
-        m = (q.squared() + (2.0 * eta * kappa).squared()).sqrt()
-        a = ((m + q) * 0.5).clip(0, np.inf).sqrt()
-        # |g - c|^2/|g + c|^2 and |g c - s^2|^2/|g c + s^2|^2 of the root g, as 1 - 2x/(1 + x): one quotient.
-        x = 2.0 * a * c / (m + c2)
-        y = 2.0 * a * c * s2 / (m * c2 + s2.squared())
-        s = ((1.0 - x) / (1.0 + x)).clip(0, 1)
-        p = ((1.0 - y) / (1.0 + y)).clip(0, 1)
-        return (s * (p + 1.0) * 0.5).clip(0, 1)
-    return one
+    n, k = Interval.of(eta), Interval.of(kappa)
+    s2 = (1.0 - c2).clip(0, 1)
+    q = n.squared() - k.squared() - s2
+    m = (q.squared() + (2.0 * n * k).squared()).sqrt()
+    a = ((m + q) * 0.5).clip(0, np.inf).sqrt()
+    # |g - c|^2/|g + c|^2 and |g c - s^2|^2/|g c + s^2|^2 of the root g, as 1 - 2x/(1 + x): one quotient.
+    x = 2.0 * a * c / (m + c2)
+    y = 2.0 * a * c * s2 / (m * c2 + s2.squared())
+    s = ((1.0 - x) / (1.0 + x)).clip(0, 1)
+    p = ((1.0 - y) / (1.0 + y)).clip(0, 1)
+    return (s * (p + 1.0) * 0.5).clip(0, 1)
 
 
 def facets(
@@ -62,18 +99,23 @@ def facets(
     angles: Angles,
     k: int,
 ) -> tuple[Interval, Interval, Interval]:
-    density, round_density = _density(spec, values, angles)
-    visible, substitute = _visibility(spec, values, off, angles)
-    lit = visible * angles.lz
-    lit = Interval(lit.lo, np.minimum(lit.hi, _lit_visibility(spec, values, angles)))
-    fresnel = reflectance(spec, values, facet_cosine(angles))
-    ratio = substitute
+    key = spec.name, *values.values()
+    hidden = off & {"masking", "hammon", "anisotropy"}
+    density, rounder = angles.once((key, "density"), lambda: _density(spec, values, angles))
+    visible, ratio = angles.once((key, hidden), lambda: _visibility(spec, values, hidden, angles))
+    fresnel = angles.once((key, "fresnel"), lambda: reflectance(spec, values, facet_cosine(angles)))
     if "fresnel" in off:
         ratio = ratio * (Interval.of(float(np.asarray(constants["fresnel"])[k])) / fresnel)
     if "anisotropy" in off:
-        ratio = ratio * (round_density / density)
-    value = density * visible * fresnel
-    return value.clip(0, np.inf), (density * lit * fresnel).clip(0, np.inf), ratio.clip(0, np.inf)
+        ratio = ratio * rounder
+
+    def lobe() -> tuple[Interval, Interval]:
+        lit = visible * angles.lz
+        lit = Interval(lit.lo, np.minimum(lit.hi, _lit_visibility(spec, values, angles)))
+        found = density * fresnel
+        return (found * visible).clip(0, np.inf), (found * lit).clip(0, np.inf)
+
+    return *angles.once((key, "lobe"), lobe), ratio.clip(0, np.inf)
 
 
 def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> FloatArray:
@@ -96,55 +138,37 @@ def _lit_visibility(spec: ModelSpec, values: Mapping[str, float], angles: Angles
 
 
 def slopes(angles: Angles) -> Interval:
-    """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1."""
-    z = angles.lz + angles.vz
-    return ((angles.dot + 1.0) * 2.0 / z.squared() - 1.0).clip(0, np.inf)
+    """tan^2 theta_h = 2 (1 + l.v)/(l_z + v_z)^2 - 1, and by the half vector's own components, which are exact
+    to second order where they are small."""
+
+    def found() -> Interval:
+        z2 = (angles.lz + angles.vz).squared()
+        x, y = _half(angles)
+        whole = ((angles.dot + 1.0) * 2.0 / z2 - 1.0).clip(0, np.inf)
+        return ((x.squared() + y.squared()) / z2).meet(whole)
+
+    return angles.once("slopes", found)
 
 
 def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tuple[Interval, Interval]:
-    """D, and D of the mean roughness."""
+    """D, and of two roughnesses that of the mean one over it."""
     tan2 = slopes(angles)
-    if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        area = ax * ay
-    else:
-        ax = ay = values["alpha"]
-        area = ax * ay
-    scaled = tan2 / area
-    sec2 = tan2 + 1.0
+    area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
     if spec.ndf == "beckmann":
-        found = (-scaled).exp() * sec2.squared() * (1.0 / (math.pi * area))
-        return found, found
-    # The square of one quotient, (1 + t)/(1 + t/alpha^2) of t = tan^2, which is monotone.
-    lo, hi = tan2.lo, tan2.hi
-
-    def quotient(t: FloatArray) -> FloatArray:
-        with np.errstate(invalid="ignore"):
-            found = (1.0 + t) / (1.0 + t / area)
-        # Its limit, which it is within 1e-90 of.
-        return np.where(t > 1e100, area, found)
-
-    ends = quotient(lo), quotient(hi)
-    root = increasing(np.minimum(*ends), np.maximum(*ends))
-    round_density = root.squared() * (1.0 / (math.pi * area))
-    if not spec.anisotropic:
-        return round_density, round_density
-    x, y = _half(values["psi"], angles)
-    z = (angles.lz + angles.vz).squared()
-    unequal = x.squared() * (1.0 / ax**2) + y.squared() * (1.0 / ay**2)
-    wide = Interval(np.zeros(lo.shape), np.full(lo.shape, np.inf))
-    stretched = (
-        (unequal / z)
-        .where(angles.flat, wide)
-        .meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
-    )
-    density = (sec2 / (stretched + 1.0)).squared() * (1.0 / (math.pi * area))
-    return density, round_density
+        found = (-(tan2 / area)).exp() * (tan2 + 1.0).squared() * (1.0 / (math.pi * area))
+        return found, Interval.of(np.ones(tan2.lo.shape))
+    cos2 = (tan2 + 1.0).reciprocal()
+    stretch = Interval.of(1.0 / area)
+    if spec.anisotropic:
+        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
+    # 1/(pi area (cos^2 + stretch sin^2)^2), and the ratio as 1 + (difference of stretches) times one term.
+    density = _mixed(cos2, stretch).squared().reciprocal() * (1.0 / (math.pi * area))
+    ratio = (stretch - 1.0 / area) * (tan2.reciprocal() + 1.0 / area).reciprocal() + 1.0
+    return density, ratio.clip(0, np.inf).squared()
 
 
-def _half(psi: float, angles: Angles) -> tuple[Interval, Interval]:
-    """H_x, H_y in the frame of roughness."""
-    return turned(psi, (angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]))
+def _half(angles: Angles) -> tuple[Interval, Interval]:
+    return angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
 
 
 def turned(psi: float, w: tuple[Interval, Interval]) -> tuple[Interval, Interval]:
@@ -153,11 +177,27 @@ def turned(psi: float, w: tuple[Interval, Interval]) -> tuple[Interval, Interval
     return w[0] * c + w[1] * s, w[1] * c - w[0] * s
 
 
+def _mean(
+    values: Mapping[str, float], along: float, across: float, w: tuple[Interval, Interval]
+) -> Interval:  # fmt: skip
+    """along cos^2 + across sin^2 of the azimuth of w in the frame of roughness, which appears once."""
+    x, y = turned(values["psi"], w)
+    found = unit_component(x, y.squared()).squared() * (along - across) + across
+    return found.clip(min(along, across) * (1 - 1e-15), max(along, across) * (1 + 1e-15))
+
+
+def _mixed(w: Interval, a: Interval) -> Interval:
+    """w + a (1 - w) of w in [0, 1], linear in both."""
+    w = w.clip(0, 1)
+    low = np.minimum(w.lo + a.lo * (1 - w.lo), w.hi + a.lo * (1 - w.hi))
+    high = np.maximum(w.lo + a.hi * (1 - w.lo), w.hi + a.hi * (1 - w.hi))
+    return increasing(low, high)
+
+
 def _root(alpha2: float | Interval, c: Interval) -> Interval:
-    """sqrt(alpha^2 + (1 - alpha^2) c^2) over c in [0, 1]: monotone in c."""
+    """sqrt(alpha^2 + (1 - alpha^2) c^2) over c in [0, 1]."""
     a = alpha2 if isinstance(alpha2, Interval) else Interval.of(alpha2)
-    s2 = ((1.0 - c) * (1.0 + c)).clip(0, 1)
-    return (c.squared() + a * s2).sqrt()
+    return _mixed(c.squared(), a).sqrt()
 
 
 def _visibility(
@@ -169,10 +209,9 @@ def _visibility(
     if spec.masking in (None, "v_groove"):
         both = angles.dot + 1.0
         g = ((l + v) * l.minimum(v) * 2.0 / both).clip(0, 1)
-        larger = l.maximum(v)
-        # G/(4 l v) is 1/(4 l v) or (l + v)/(2 (1 + l.v) max).
+        # G/(4 l v) is 1/(4 l v) or (l + v)/(2 (1 + l.v) max); the sum over the larger is 1 to 2.
         lit = (l * v).reciprocal() * 0.25
-        shaded = (l + v) / (both * larger * 2.0)
+        shaded = ((l + v) / l.maximum(v)).clip(1, 2) / (both * 2.0)
         value = lit.minimum(shaded)
         return value.clip(0, np.inf), (g.reciprocal() if "masking" in off else one)
     if spec.ndf == "beckmann":
@@ -193,13 +232,10 @@ def _visibility(
     if "masking" in off:
         return value, inverse
     if "hammon" in off:
-        a, b = l.reciprocal(), v.reciprocal()
-        plain = (a + b) * alpha + 2.0 * (1.0 - alpha)
-        with np.errstate(invalid="ignore"):
-            ratio = (p + q) / plain
+        plain = (l.reciprocal() + v.reciprocal()) * alpha + 2.0 * (1.0 - alpha)
+        ratio = 1.0 - (_saved(alpha, l) + _saved(alpha, v)) / plain
         # Each sum's terms: h/g lies between sqrt((1 + alpha)/2) and 1 (see the module).
         least = math.sqrt((1.0 + alpha) / 2.0) * (1 - 1e-15)
-        ratio = Interval(np.nan_to_num(ratio.lo, nan=0.0), np.nan_to_num(ratio.hi, nan=1.0))
         return value, ratio.clip(min(least, 1.0), 1.0)
     return value, one
 
@@ -219,6 +255,19 @@ def _over_cosine(alpha: float, c: Interval) -> Interval:
     return increasing(at(c.hi), at(c.lo))
 
 
+def _saved(alpha: float, c: Interval) -> Interval:
+    """alpha/c + 1 - alpha, what Hammon's form has, less sqrt(alpha^2/c^2 + 1 - alpha^2), alpha up to 1,
+    without a difference of what is large at grazing: decreasing in c, from 1 - alpha to 0."""
+
+    def at(x: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            y = alpha / x
+            return (1.0 - alpha) * (1.0 - (1.0 + alpha) / (y + np.hypot(y, math.sqrt(1.0 - alpha * alpha))))
+
+    low, high = at(c.hi), at(c.lo)
+    return Interval(low - 1e-15, high + 1e-15).clip(0.0, 1.0 - alpha)
+
+
 def _beckmann(alpha: float, c: Interval) -> Interval:
     """Smith's Lambda = exp(-a^2) (1/(a sqrt(pi)) - erfcx(a))/2 of a = cot/alpha, decreasing in c. The
     difference loses 2 a^2 units of rounding, and from a = 6 on Lambda is below 1e-17: widened by much
@@ -236,25 +285,24 @@ def _beckmann(alpha: float, c: Interval) -> Interval:
 
 
 def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple[Interval, Interval]:
-    """Height-correlated Smith of two roughnesses; on spheres between those of either."""
-    ax, ay, psi = values["alpha_x"], values["alpha_y"], values["psi"]
+    """Height-correlated Smith of two roughnesses, each direction's as one of its azimuth."""
+    squares = values["alpha_x"] ** 2, values["alpha_y"] ** 2
     l, v = angles.lz, angles.vz
-    mean = ax * ay
-
-    def projected(w: tuple[Interval, Interval], z: Interval) -> Interval:
-        x, y = turned(psi, w)
-        s2 = ((1.0 - z) * (1.0 + z)).clip(0, 1)
-        between = Interval((s2 * min(ax, ay) ** 2).lo, (s2 * max(ax, ay) ** 2).hi)
-        return (x.squared() * ax**2 + y.squared() * ay**2).where(angles.flat, between).meet(between)
-
-    exact = (
-        v * (l.squared() + projected(angles.l, l)).sqrt() + l * (v.squared() + projected(angles.v, v)).sqrt()
-    )
+    mean = values["alpha_x"] * values["alpha_y"]
+    a, b = (_mean(values, *squares, w) for w in (angles.l, angles.v))
+    exact = v * _root(a, l) + l * _root(b, v)
     value = 0.5 / exact
+    # tan^2 of each direction.
+    p, q = ((c.squared().reciprocal() - 1.0).clip(0, np.inf) for c in (l, v))
     if "masking" in off:
-        return value, exact / (l * v * 2.0)
+        return value, ((a * p + 1.0).sqrt() + (b * q + 1.0).sqrt()) * 0.5
     if "anisotropy" in off:
-        return value, exact / (v * _root(mean, l) + l * _root(mean, v))
+        # Sums of two terms each: the quotient lies between those of the terms, sqrt(1 + (a - mean) x).
+        one, two = (
+            ((one - mean) * (t.reciprocal() + mean).reciprocal() + 1.0).sqrt() for one, t in ((a, p), (b, q))
+        )
+        between = Interval(np.minimum(one.lo, two.lo), np.maximum(one.hi, two.hi))
+        return value, (exact / (v * _root(mean, l) + l * _root(mean, v))).meet(between)
     return value, Interval.of(np.ones(l.lo.shape))
 
 
@@ -265,16 +313,10 @@ def ward(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles)
     exponent = tan2 / area
     ratio = Interval.of(np.ones(l.lo.shape))
     if spec.anisotropic:
-        ax, ay = values["alpha_x"], values["alpha_y"]
-        x, y = _half(values["psi"], angles)
-        z = (l + v).squared()
-        wide = Interval(np.zeros(l.lo.shape), np.full(l.lo.shape, np.inf))
-        unequal = ((x.squared() * (1 / ax**2) + y.squared() * (1 / ay**2)) / z).where(angles.flat, wide)
-        unequal = unequal.meet(Interval((tan2 / max(ax, ay) ** 2).lo, (tan2 / min(ax, ay) ** 2).hi))
+        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
         if "anisotropy" in off:
-            apart = x.squared() * (1 / ax**2 - 1 / area) + y.squared() * (1 / ay**2 - 1 / area)
-            ratio = (apart / z).where(angles.flat, unequal - exponent).exp()
-        exponent = unequal
+            ratio = ((stretch - 1.0 / area) * tan2).exp()
+        exponent = stretch * tan2
     if spec.variant == "bounded":
         level = (angles.dot + 1.0) * (2.0 / (math.pi * area)) / (l + v).squared().squared()
     elif spec.variant == "duer":

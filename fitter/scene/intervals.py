@@ -26,6 +26,12 @@ def _up(x: ArrayLike) -> FloatArray:
     return np.nextafter(x, np.inf)
 
 
+def _finite(x: FloatArray) -> FloatArray:
+    """0 times infinity is 0."""
+    lost = np.isnan(x)
+    return np.where(lost, 0.0, x) if lost.any() else x
+
+
 @dataclass(frozen=True, eq=False)
 class Interval:
     """[lo, hi] elementwise; bounds may be infinite, never NaN. 0 times infinity is 0 (a limit from
@@ -58,11 +64,16 @@ class Interval:
     def __mul__(self, other: Interval | float) -> Interval:
         o = _interval(other)
         with np.errstate(invalid="ignore", over="ignore"):
-            every = np.stack(
-                np.broadcast_arrays(self.lo * o.lo, self.lo * o.hi, self.hi * o.lo, self.hi * o.hi)
-            )
-        every = np.nan_to_num(every, nan=0.0, posinf=np.inf, neginf=-np.inf)
-        return Interval(_down(every.min(axis=0)), _up(every.max(axis=0)))
+            if not (self.lo.min(initial=0.0) < 0 or o.lo.min(initial=0.0) < 0):
+                # The usual case: nothing is negative.
+                low = np.maximum(_down(_finite(self.lo * o.lo)), 0.0)
+                return Interval(low, _up(_finite(self.hi * o.hi)))
+            p, q = _finite(self.lo * o.lo), _finite(self.lo * o.hi)
+            r, s = _finite(self.hi * o.lo), _finite(self.hi * o.hi)
+        low, high = np.minimum(np.minimum(p, q), np.minimum(r, s)), np.maximum(
+            np.maximum(p, q), np.maximum(r, s)
+        )
+        return Interval(_down(low), _up(high))
 
     __rmul__ = __mul__
 

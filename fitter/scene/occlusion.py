@@ -19,10 +19,15 @@ BoolArray = NDArray[np.bool_]
 _BUDGET, _PIECES, _MOST = 4_000, 8, 200
 #: So many hidden points are enough to give up a proof.
 _WITNESSES = 8
+#: Directions of a sky, by height and by azimuth.
+_SKY = 16, 32
 
 
 def spread(lamp: Lamp) -> list[tuple[float, float, float]]:
     """Points (s, t) of a lamp and the share of its light that each stands for."""
+    if lamp.kind == "environment":
+        n, m = _SKY
+        return [((i + 0.5) / n, 2 * np.pi * (j + 0.5) / m, 1 / (n * m)) for i in range(n) for j in range(m)]
     if lamp.kind != "area":
         return [(0.0, 0.0, 1.0)]
     ends = (-2 / 3, 0.0, 2 / 3)

@@ -21,7 +21,7 @@ from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.rendering import BATCH, Precision, padded, reference
-from fitter.scene.search import Decision, decide, hull
+from fitter.scene.search import Decision, hull
 from fitter.scene.surfaces import Angles, Boxes, Surfaces
 
 FloatArray = NDArray[np.float64]
@@ -107,11 +107,11 @@ class _Planner:
         #: Errors so far, together: those that are bounded, and those that are estimated.
         self.bounded = self.estimated = 0.0
         self.surfaces = Surfaces(scene)
-        self.criteria = Criteria(scene, self.surfaces, self.floor)
         self.lamps = tuple(range(len(scene.lamps)))
         #: Of each lamp whether nothing can stand before it, the boxes it took, points where it does.
         self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
         self.clear = [found for found, *_ in self.proofs]
+        self.criteria = Criteria(scene, self.surfaces, self.floor, self.clear)
 
     def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]]]:
         decisions: list[dict[str, Any]] = []
@@ -179,23 +179,20 @@ class _Planner:
         start = self.surfaces.start(m, self.lamps)
         constants = constants_of(self.scene, m, one, self.surfaces)
         full = operations.of_material(one)
-        single: dict[str, Decision] = {}
-        saved: dict[str, float] = {}
-        for effect in effects.effects(one.model)[:_MOST]:
-            off = frozenset({effect})
-            saved[effect] = full - operations.of_material(replace(one, off=off, constants=constants))
-            single[effect] = self.criteria.decide(one, off, constants, start, left)
+        names = effects.effects(one.model)[:_MOST]
+        alone = [frozenset({effect}) for effect in names]
+        saved = {
+            effect: full - operations.of_material(replace(one, off=off, constants=constants))
+            for effect, off in zip(names, alone, strict=True)
+        }
+        single = dict(zip(names, self.criteria.decide(m, one, alone, constants, left), strict=True))
         free = [effect for effect, found in single.items() if found.state == "bounded" and saved[effect] > 0]
         chosen, bound = frozenset[str](), 0.0
-        failed: list[Off] = []
-        for off in self._sets(free, one, constants):
-            if any(bad <= off for bad in failed):
-                continue
-            found = self.criteria.decide(one, off, constants, start, left, tighten=True)
+        sets = self._sets(free, one, constants)
+        known = dict(zip(alone, single.values(), strict=True))
+        for off, found in zip(sets, self.criteria.first(m, one, sets, constants, left, known), strict=False):
             if found.state == "bounded":
                 chosen, bound = off, found.bound
-                break
-            failed.append(off)
         for effect, found in single.items():
             decisions.append(
                 wording.judged(
@@ -266,28 +263,7 @@ class _Planner:
         for m, one in enumerate(self.scene.materials):
             if not isinstance(one, ModelMaterial) or (effects.unbounded(one.model) is not None):
                 return None
-            model = one.model
-            groups = self.criteria.channels(model)
-
-            def criterion(
-                boxes: Boxes, angles: Angles, model: Any = model, groups: Any = groups
-            ) -> FloatArray:  # fmt: skip
-                found = np.zeros(len(boxes))
-                for channel, members in groups:
-                    parts = effects.terms(model, frozenset(), {}, angles, channel)
-                    mine = self.criteria.over_floor(effects.relative(parts)[2], boxes, angles, members)
-                    rest = self.criteria.certain(model, channel, boxes, others, members)
-                    with np.errstate(invalid="ignore", divide="ignore"):
-                        beside = np.where(mine > 0, 1.0 / (1.0 + rest / mine), 0.0)
-                    found = np.maximum(found, np.fmin(mine, beside * (1 + 1e-14)))
-                return found
-
-            start = self.surfaces.start(m, (k,))
-
-            def sampler(boxes: Boxes, model: Any = model, groups: Any = groups) -> FloatArray:
-                return self.criteria.sampled(boxes, model, frozenset(), {}, groups, dark=k)
-
-            found = decide(self.surfaces, start, criterion, sampler, self.tolerance, budget=2_000)
+            found = self.criteria.dark(k, tuple(others), m, one, self.tolerance)
             if found.state != "bounded":
                 return found
             if worst is None or found.bound > worst.bound:
@@ -298,14 +274,7 @@ class _Planner:
         """Whether rays to lamp k have to be tried."""
         clear, boxes, witness = self.proofs[k]
         kind = self.scene.lamps[k].kind
-        error = 0.0
-        for m in np.unique(self.surfaces.material[witness.primitive]).tolist():
-            one = self.scene.materials[m]
-            if isinstance(one, ModelMaterial) and effects.unbounded(one.model) is None:
-                mine = witness.take(self.surfaces.material[witness.primitive] == m)
-                groups = self.criteria.channels(one.model)
-                met = self.criteria.sampled(mine, one.model, frozenset(), {}, groups, unshaded=k)
-                error = max(error, float(met.max(initial=0.0)))
+        error = 0.0 if clear else self.criteria.hidden(k, witness, self.tolerance)
         if clear:
             found = Decision("bounded", 0.0, 0.0, boxes)
             sentence = (

@@ -7,8 +7,9 @@ lamps, a rectangle (s, t) in [-1, 1]^2, and of an environment all directions (s 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from fitter.scene.regions import Region
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Vector = tuple[Interval, Interval, Interval]
+T = TypeVar("T")
 
 #: By how much coordinates that were turned into a primitive's frame are widened, relative to the scene's
 #: size.
@@ -63,9 +65,8 @@ class Boxes:
 @dataclass(frozen=True)
 class Angles:
     """Enclosures of what a reflectance depends on, (B,) each: cosines of light and viewer with the normal,
-    their dot product, their tangential components (of the whole range on spheres), and the irradiance on a
-    surface facing the light over the lamp's level. ``seen``: neither unlit, nor turned away, nor outside the
-    picture for certain."""
+    their dot product, their tangential components, and the irradiance on a surface facing the light over the
+    lamp's level. ``seen``: neither unlit, nor turned away, nor outside the picture for certain."""
 
     lz: Interval
     vz: Interval
@@ -74,8 +75,14 @@ class Angles:
     v: tuple[Interval, Interval]
     arriving: Interval
     seen: NDArray[np.bool_]
-    flat: NDArray[np.bool_]
     point: Vector
+    kept: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], compare=False)
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What is made of these angles, kept: sets of effects have most of it in common."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        return cast(T, self.kept[key])
 
     def take(self, index: NDArray[Any]) -> Angles:
         def cut(i: Interval) -> Interval:
@@ -83,7 +90,7 @@ class Angles:
 
         return Angles(
             cut(self.lz), cut(self.vz), cut(self.dot), (cut(self.l[0]), cut(self.l[1])),
-            (cut(self.v[0]), cut(self.v[1])), cut(self.arriving), self.seen[index], self.flat[index],
+            (cut(self.v[0]), cut(self.v[1])), cut(self.arriving), self.seen[index],
             (cut(self.point[0]), cut(self.point[1]), cut(self.point[2])),
         )  # fmt: skip
 
@@ -186,9 +193,9 @@ class Surfaces:
         # The point and the normal in the primitive's frame.
         s = ((1.0 - a.clip(-1, 1)) * (1.0 + a.clip(-1, 1))).sqrt()
         zero, one = Interval.of(np.zeros(len(boxes))), Interval.of(np.ones(len(boxes)))
+        n_b = cosine(b), sine(b)
         n: Vector = (
-            (s * cosine(b)).where(on_sphere, zero), (s * sine(b)).where(on_sphere, zero),
-            a.where(on_sphere, one),
+            (s * n_b[0]).where(on_sphere, zero), (s * n_b[1]).where(on_sphere, zero), a.where(on_sphere, one),
         )  # fmt: skip
         r = Interval.of(radius)
         x: Vector = (
@@ -208,7 +215,7 @@ class Surfaces:
             # n.v of a sphere is monotone in the one coordinate a.
             vz = _seen_from(away, r, a).where(on_sphere, vz)
         l, arriving, local = self._light(boxes, frame, origin, x, on_sphere, vz)
-        lz = (n[0] * l[0] + n[1] * l[1] + n[2] * l[2]).clip(-1, 1).where(on_sphere, l[2])
+        lz = _about(n[2], l[0] * n_b[0] + l[1] * n_b[1], l[2]).where(on_sphere, l[2])
         lz = local[2].where(self._sky(boxes), lz)
         dot = (l[0] * v[0] + l[1] * v[1] + l[2] * v[2]).clip(-1, 1)
         sky_sphere = self._sky(boxes) & on_sphere
@@ -218,10 +225,30 @@ class Surfaces:
             dot = (local[0] * across + local[2] * vz).clip(-1, 1).where(sky_sphere, dot)
         world = self._world(frame, origin, x)
         seen = (lz.hi > 0) & (vz.hi > 0) & self._in_picture(world) & (arriving.hi > 0)
-        positive = lambda i: i.clip(0.0, 1.0)  # noqa: E731
-        return Angles(
-            positive(lz), positive(vz), dot, (l[0], l[1]), (v[0], v[1]), arriving, seen, ~on_sphere, world
-        )
+        lz, vz = lz.clip(0.0, 1.0), vz.clip(0.0, 1.0)
+        l_t, v_t = (l[0], l[1]), (v[0], v[1])
+        if on_sphere.any():
+            l_t, v_t = (self._tangential(frame, n, w, z, on_sphere) for w, z in ((l, lz), (v, vz)))
+        if sky_sphere.any():
+            # Azimuths are from the viewer's, wherever the tangents are.
+            any_ = Interval(np.full(len(boxes), -1.0), np.full(len(boxes), 1.0))
+            l_t, v_t = ((any_.where(sky_sphere, w[0]), any_.where(sky_sphere, w[1])) for w in (l_t, v_t))
+        return Angles(lz, vz, dot, l_t, v_t, arriving, seen, world)
+
+    def _tangential(
+        self, frame: FloatArray, n: Vector, w: Vector, z: Interval, on_sphere: NDArray[np.bool_]
+    ) -> tuple[Interval, Interval]:
+        """Components along the tangents of a sphere, of which x runs along circles of latitude: with the
+        world's axis p, (p x n).w and p.w - (p.n)(n.w), over |p x n|."""
+        p: Vector = (Interval.of(frame[:, 0, 2]), Interval.of(frame[:, 1, 2]), Interval.of(frame[:, 2, 2]))
+        # The frame's rows are unit vectors to rounding.
+        wide = Interval(np.array(-4 * _TURNED), np.array(4 * _TURNED))
+        up = (p[0] * n[0] + p[1] * n[1] + p[2] * n[2] + wide).clip(-1, 1)
+        scale = ((1.0 - up) * (1.0 + up)).clip(0, 1).sqrt().reciprocal()
+        across = [p[(k + 1) % 3] * n[(k + 2) % 3] - p[(k + 2) % 3] * n[(k + 1) % 3] for k in range(3)]
+        x = (across[0] * w[0] + across[1] * w[1] + across[2] * w[2] + wide) * scale
+        y = (p[0] * w[0] + p[1] * w[1] + p[2] * w[2] + wide - up * z) * scale
+        return x.clip(-1, 1).where(on_sphere, w[0]), y.clip(-1, 1).where(on_sphere, w[1])
 
     def _sky(self, boxes: Boxes) -> NDArray[np.bool_]:
         kinds = np.array([one.kind == "environment" for one in self.lamps])
@@ -340,6 +367,23 @@ def _unit(d: Vector) -> Vector:
     squares = [one.squared() for one in d]
     found = [unit_component(d[k], squares[(k + 1) % 3] + squares[(k + 2) % 3]) for k in range(3)]
     return found[0], found[1], found[2]
+
+
+def _about(a: Interval, c: Interval, z: Interval) -> Interval:
+    """sin(theta) c + cos(theta) z of a = cos(theta), theta in [0, pi]: r cos(theta - phi), every variable
+    once, at either end of c and of z, in which it is linear."""
+    theta = Interval(np.arccos(np.clip(a.hi, -1, 1)), np.arccos(np.clip(a.lo, -1, 1)))
+    found: Interval | None = None
+    for x in (c.lo, c.hi):
+        for y in (z.lo, z.hi):
+            r, phi = np.hypot(x, y), np.arctan2(x, y)
+            turned = cosine(Interval(theta.lo - phi - 1e-15, theta.hi - phi + 1e-15))
+            one = Interval(turned.lo * r - 4e-15 * r, turned.hi * r + 4e-15 * r)
+            found = one if found is None else Interval(
+                np.minimum(found.lo, one.lo), np.maximum(found.hi, one.hi)
+            )
+    assert found is not None
+    return found.clip(-1, 1)
 
 
 def _seen_from(distance: Interval, radius: Interval, a: Interval) -> Interval:
