@@ -134,9 +134,7 @@ def _kulla_conty(a: Asked) -> list[Term]:
 
 
 def _of_layered(model: ReflectanceModel) -> Sequence[str] | None:
-    base = composite.parts(model)[0]
-    # Tangents are not followed beneath the coat.
-    return None if known(base) is None or base.spec.anisotropic else ("coat", "passage")
+    return None if known(composite.parts(model)[0]) is None else ("coat", "passage")
 
 
 def _layered(a: Asked) -> list[Term]:
