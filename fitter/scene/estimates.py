@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene import kernels, lights
+from fitter.scene import kernels, lights, wording
 from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Points, Settings
 from fitter.scene.kernels import Hit
 from fitter.scene.materials import Material, ModelMaterial
+from fitter.scene.regions import Region
 
 FloatArray = NDArray[np.float64]
 
@@ -64,35 +65,46 @@ class Probe:
     """Random points of the picture that show a shape, and the light that each lamp sends them straight.
 
     floor : the radiance that errors are relative to at least. rows : of all batches, those that pictures are
-    rendered in, so that programs are compiled once.
+    rendered in, so that programs are compiled once. region : of the picture that the points are in.
+
+    pixel (P,), places : of the points, and their primitives (P,) and positions (P, 3). tried : errors (P,) of
+    points each way n in place of lamp k, by (k, n); alone : of leaving lamp k out, by k.
     """
 
-    def __init__(self, scene: Scene, settings: Settings, floor: float, seed: int, rows: int) -> None:
+    def __init__(
+        self, scene: Scene, settings: Settings, floor: float, seed: int, rows: int, region: Region
+    ) -> None:  # fmt: skip
         self.scene, self.floor, self.rows = scene, floor, rows
+        self.tried: dict[tuple[int, int], FloatArray] = {}
+        self.alone: dict[int, FloatArray] = {}
+        self.pixel = np.zeros(0, np.intp)
+        self.places = np.zeros(0, np.intp), np.zeros((0, 3))
         self.integrator = Integrator(scene, settings, np.dtype(np.float32))
-        self.at, self.count = self._points(np.random.default_rng([seed, 2**31 + 1]))
+        self.at, self.count = self._points(region, np.random.default_rng([seed, 2**31 + 1]))
         self.lamps = settings.lit(0)
         self.materials = settings.direct
 
-    def _points(self, rng: np.random.Generator) -> tuple[Points | None, int]:
+    def _points(self, region: Region, rng: np.random.Generator) -> tuple[Points | None, int]:
         one, rows = self.integrator, self.rows
         parts: list[list[NDArray[Any]]] = []
         found = 0
         wanted = min(_POINTS, rows)
-        camera = self.scene.spec.camera
+        if not len(region.pixels):
+            return None, 0
         for _ in range(max(_RAYS // rows, 1)):
-            pixel = rng.integers(0, camera.width * camera.height, rows)
+            pixel = rng.choice(region.pixels, rows)
             u = jnp.asarray(rng.random((rows, 2)), one.dtype)
             o, d = kernels.camera_rays(one.basis, one.eye, one.size, jnp.asarray(pixel), u)
             hit = kernels.nearest(one.shapes, o, d, jnp.full(rows, -1))
             shown = np.flatnonzero(np.asarray(hit.primitive) >= 0)[: wanted - found]
-            parts.append([np.asarray(part)[shown] for part in (*hit, d)])
+            parts.append([np.asarray(part)[shown] for part in (*hit, d, pixel)])
             found += len(shown)
             if found == wanted:
                 break
         if not found:
             return None, 0
-        joined = [np.concatenate(some) for some in zip(*parts, strict=True)]
+        *joined, self.pixel = (np.concatenate(some) for some in zip(*parts, strict=True))
+        self.places = joined[0], joined[2].astype(np.float64)
         each = rows // found
         filled = np.resize(np.repeat(np.arange(found), each), rows)
         *of_hit, d = (jnp.asarray(part[filled]) for part in joined)
@@ -124,21 +136,21 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
     scene = probe.scene
     none: tuple[int, ...] = (0,) * len(scene.lamps)
     areas = [k for k in probe.lamps if scene.lamps[k].kind == "area"]
-    if not areas or probe.at is None:
+    if probe.at is None or not probe.lamps:
         return none, [], 0.0
     if any(isinstance(one, ModelMaterial) and one.has_ideal for one in scene.materials):
-        said = Estimate(0.0, 0)
-        why = "sampled: mirrors show its shape"
-        return none, [{**said.decision("area light", str(k), False, ""), "state": "not-bounded",
-            "sentence": f"light {k} (area) {why}"} for k in areas], 0.0  # fmt: skip
+        why = "sampled, as mirrors show its shape"
+        return none, [wording.kept(f"light {k} (area)", "area light", why) for k in areas], 0.0
     exact = {k: probe.light(k, probe.materials, *_FINE) for k in probe.lamps}
     whole = np.sum(list(exact.values()), axis=0)
     change = np.zeros_like(whole)
+    probe.alone.update({k: _errors(light, whole, probe.floor) for k, light in exact.items()})
     chosen, decisions, error = list[int](none), list[dict[str, Any]](), 0.0
     for k in areas:
         tried: list[Estimate] = []
         for each_way in LADDER:
             fewer = probe.light(k, probe.materials, each_way) - exact[k]
+            probe.tried[k, each_way] = _errors(fewer, whole, probe.floor)
             tried.append(_largest(change + fewer, whole, probe.floor))
             if tried[-1].found <= SHARE * left:
                 chosen[k], change, error = each_way, change + fewer, tried[-1].found
@@ -203,7 +215,11 @@ def of_precision(found: Estimate, single: bool) -> dict[str, Any]:
 
 
 def _largest(change: FloatArray, whole: FloatArray, floor: float) -> Estimate:
-    """The error of a change (P, C) of the light (P, C)."""
+    return Estimate(float(_errors(change, whole, floor).max(initial=0.0)), len(whole))
+
+
+def _errors(change: FloatArray, whole: FloatArray, floor: float) -> FloatArray:
+    """The errors (P,) of changes (P, C) of the light (P, C)."""
     against = np.maximum(whole, floor)
     error = np.where(against > 0, np.abs(change) / np.where(against > 0, against, 1.0), 0.0)
-    return Estimate(float(error.max(initial=0.0)), len(whole))
+    return error.max(axis=1, initial=0.0)

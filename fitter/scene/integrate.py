@@ -32,7 +32,7 @@ class Settings:
     stand for it where it lights what the camera sees (0: it is sampled), whether it does light that
     (reflections are lit by all), whether shapes may hide it. direct : the materials for light that comes
     straight from a lamp to what the camera sees; materials : those for all else. channels : which are
-    computed, None for all; materials have those.
+    computed, None for all; materials have those. blank : that no shape is seen, which needs none of them.
     """
 
     bounces: int
@@ -43,6 +43,7 @@ class Settings:
     direct: tuple[Material, ...]
     materials: tuple[Material, ...]
     channels: Merged | None = None
+    blank: bool = False
 
     @staticmethod
     def everything(scene: Scene) -> Settings:
@@ -114,21 +115,28 @@ class Integrator:
         rng = _random(seed, 0, 0)
         u = jnp.asarray(rng.random((len(pixel), 2)), self.dtype)
         o, d = self.call(kernels.camera_rays, self.basis, self.eye, self.size, jnp.asarray(pixel), u)
-        skip = jnp.full(len(pixel), -1)
-        hit = self.call(kernels.nearest, self.shapes, o, d, skip)
+        lamps = list(range(len(self.lamps)))
+        if self.settings.blank:
+            total = self._seen(o, d, jnp.full(len(pixel), jnp.inf, self.dtype), None, lamps)
+            return self._apart(total), np.zeros(len(pixel), bool)
+        hit = self.call(kernels.nearest, self.shapes, o, d, jnp.full(len(pixel), -1))
         met = hit.primitive >= 0
-        total = self._seen(o, d, hit.t, None, list(range(len(self.lamps))))
+        total = self._seen(o, d, hit.t, None, lamps)
         throughput = jnp.ones_like(total)
         for depth in range(self.settings.bounces + 1):
-            more, o, d, skip, throughput, drawn, hit_next = self._scatter(hit, d, throughput, depth, seed)
+            more, o, d, throughput, drawn, hit_next = self._scatter(hit, d, throughput, depth, seed)
             total = total + more
             if drawn is None:
                 break
             met_lamps = [k for k in self.settings.lit(depth) if not self.settings.points_at(k, depth)]
             total = total + throughput * self._seen(o, d, hit_next.t, drawn, met_lamps)
             hit = hit_next
+        return self._apart(total), np.asarray(met)
+
+    def _apart(self, total: Array) -> NDArray[Any]:
+        """All channels of those computed."""
         merged, radiance = self.settings.channels, np.asarray(total)
-        return radiance if merged is None else merged.apart(radiance), np.asarray(met)
+        return radiance if merged is None else merged.apart(radiance)
 
     def _seen(self, o: Array, d: Array, reach: Array, drawn: Drawn | None, lamps: list[int]) -> Array:
         """Radiance of the lamps that rays meet, weighted against having been sampled at the rays' start."""
@@ -193,9 +201,9 @@ class Integrator:
 
     def _scatter(
         self, hit: Hit, d: Array, throughput: Array, depth: int, seed: tuple[int, ...]
-    ) -> tuple[Array, Array, Array, Array, Array, Drawn | None, Hit]:
+    ) -> tuple[Array, Array, Array, Array, Drawn | None, Hit]:
         """Light that one scattering sends back along rays, and the rays that go on: their origin, direction,
-        primitive, throughput, how they were drawn and what they meet."""
+        throughput, how they were drawn and what they meet."""
         settings, n = self.settings, len(d)
         materials = settings.direct if depth == 0 else settings.materials
         at = self.points(hit, d)
@@ -213,12 +221,12 @@ class Integrator:
                     total = total + self.from_lamp(k, at, u, materials, share, mis=True)
         total = throughput * total
         if depth == settings.bounces and not sampled:
-            return total, hit.point, d, hit.primitive, throughput, None, hit
+            return total, hit.point, d, throughput, None, hit
         drawn = self._draw(settings.materials, at, _random(seed, depth + 1, 0), n)
         out = self.call(kernels.to_world, hit.frame, jnp.asarray(drawn.towards, self.dtype))
         throughput = throughput * jnp.asarray(drawn.weight, self.dtype)
         onward = self.call(kernels.nearest, self.shapes, hit.point, out, hit.primitive)
-        return total, hit.point, out, hit.primitive, throughput, drawn, onward
+        return total, hit.point, out, throughput, drawn, onward
 
     def _values(
         self, materials: tuple[Material, ...], at: Points, l: Array, *, mis: bool

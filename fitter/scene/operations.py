@@ -13,24 +13,25 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from fitter.scene import kernels
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Settings
-from fitter.scene.kernels import Shapes
+from fitter.scene.integrate import Integrator, Points, Settings
+from fitter.scene.kernels import Hit, Shapes
 from fitter.scene.materials import ModelMaterial
+from fitter.scene.regions import Region
 
 #: Rays that are followed to see which kernels are called.
 _RAYS = 1024
 _BLOCK = 64
 
 
-def of_picture(scene: Scene, settings: Settings) -> float:
-    """Operations a sample of a pixel, all calls of all kernels."""
+def of_picture(scene: Scene, settings: Settings, region: Region) -> float:
+    """Operations a sample of a pixel of a region, all calls of all kernels."""
     counting = _Counting(scene, settings, np.dtype(np.float32))
-    camera = scene.spec.camera
-    pixel = np.linspace(0, camera.width * camera.height - 1, _RAYS).astype(np.intp)
-    counting.batch(pixel, (0,))
+    pixel = np.linspace(0, len(region.pixels) - 1, _RAYS).astype(np.intp)
+    counting.batch(region.pixels[pixel], (0,))
     return counting.operations / _RAYS
 
 
@@ -66,6 +67,11 @@ class _Counting(Integrator):
     def __init__(self, scene: Scene, settings: Settings, dtype: np.dtype[np.floating]) -> None:
         super().__init__(scene, settings, dtype)
         self.operations = 0.0
+
+    def points(self, hit: Hit, d: Array) -> Points:
+        """As of a batch that meets every material."""
+        found = super().points(hit, d)
+        return found._replace(present=list(range(len(self.settings.materials))))
 
     def call(self, kernel: Any, *given: Any) -> Any:
         self.operations += self._cost(kernel, given)

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
-from fitter.scene import channels, effects, estimates, occlusion, operations, wording
+from fitter.scene import estimates, tiling
 from fitter.scene.assembly import Scene
-from fitter.scene.channels import Merged
-from fitter.scene.constants import constants_of
-from fitter.scene.criteria import Criteria
-from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
-from fitter.scene.materials import Material, ModelMaterial
+from fitter.scene.programs import Planner, Program, Task
+from fitter.scene.regions import Region, Tiles
 from fitter.scene.rendering import BATCH, Precision, padded, reference
-from fitter.scene.search import Decision, hull
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
-
-FloatArray = NDArray[np.float64]
 
 KIND = "brdf-fitter/plan"
 #: Share of F below which radiance counts as that much.
 FLOOR = 0.01
-#: Effects of a material that all sets are tried of.
-_MOST = 12
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The settings that a picture is rendered with, and the document that explains them."""
+    """The programs that a picture is rendered with, one for each of its regions, and the document that
+    explains them. settings : those that hold for the whole picture."""
 
     settings: Settings
+    programs: tuple[Program, ...]
     document: Mapping[str, Any]
 
 
@@ -47,46 +38,64 @@ def plan(
     tolerance: float | None = None,
     seed: int = 0,
     precision: Precision | Literal["auto"] = "float32",
+    tiles: tuple[int, int] = (1, 1),
     progress: Progress = ignore,
 ) -> Plan:
     """Which effects of the scene stay below ``tolerance`` (default: the scene's) together, everywhere.
 
     The error of a point of the picture is |L - L'| / max(L, 0.01 F), the largest of its channels. precision :
     "auto" tries whether float32 differs from float64 by more than what the effects leave of the tolerance,
-    which takes the compilation of the scene's kernels in float64.
+    which takes the compilation of the scene's kernels in float64. tiles : columns and rows of tiles; those
+    that need less may share up to two programs of their own, which are proved for themselves.
     """
     began = time.perf_counter()
     progress(0.0, "pre-pass")
-    rows = min(BATCH, padded(scene.spec.camera.width * scene.spec.camera.height))
+    camera = scene.spec.camera
+    rows = min(BATCH, padded(camera.width * camera.height))
     floor = prepass(scene, seed, rows)
     after = time.perf_counter()
-    planner = _Planner(scene, scene.spec.tolerance if tolerance is None else tolerance, floor, seed, rows)
-    settings, decisions = planner.run(progress)
-    planned = time.perf_counter()
+    tolerance, spent, decisions = tolerance or scene.spec.tolerance, 0.0, list[dict[str, Any]]()
     if precision == "auto":
         tried = estimates.precision(scene, floor * FLOOR, seed, rows)
-        single = tried.found <= planner.left
+        single = tried.found <= estimates.SHARE * tolerance
         decisions.append(estimates.of_precision(tried, single))
-        planner.spend(tried.found if single else 0.0, estimated=True)
-        precision = "float32" if single else "float64"
+        precision, spent = ("float32", tried.found) if single else ("float64", 0.0)
     compared = time.perf_counter()
-    everything = Settings.everything(scene)
+    task = Task.of(scene, tolerance, floor * FLOOR, seed, rows, spent)
+    planner = Planner(task, Region.whole(Tiles.of(camera, *tiles)))
+    whole = planner.run(lambda done, what: progress(0.1 + 0.5 * done, what))
+    decisions += whole.decisions
+    progress(0.7, "tiles")
+    programs = tiling.programs(planner, whole)
+    rest = whole.region.rest([one.region for one in programs])
+    programs = [replace(whole, region=rest, decisions=decisions), *programs]
+    programs = tuple(one for one in programs if one.region.chosen)
+    planned = time.perf_counter()
     progress(0.9, "counting operations")
-    counted = {
-        "all": operations.of_picture(scene, everything),
-        "planned": operations.of_picture(scene, settings),
+    counted = [one.operations(scene) for one in programs]
+    pixels = [len(one.region.pixels) for one in programs]
+    means = {
+        name: float(np.average([each[name] for each in counted], weights=pixels))
+        for name in ("all", "planned")
     }
-    counts = {**counted, "saved": counted["all"] / max(counted["planned"], 1.0)}
     document = {
-        "kind": KIND, "tolerance": planner.tolerance, "bound": planner.bounded,
-        "estimated": planner.estimated, "reference": floor, "floor": FLOOR, "seed": seed,
-        "precision": precision, "decisions": decisions, "operations": counts,
+        "kind": KIND, "tolerance": tolerance, "bound": max(one.bound for one in programs),
+        "estimated": max(one.estimated for one in programs), "reference": floor, "floor": FLOOR, "seed": seed,
+        "precision": precision, "decisions": decisions,
+        "operations": {**means, "saved": means["all"] / max(means["planned"], 1.0)},
+        "programs": [
+            {
+                **one.region.to_dict(), "bound": one.bound, "estimated": one.estimated, "operations": each,
+                "decisions": one.decisions,
+            }
+            for one, each in zip(programs, counted, strict=True)
+        ] if len(programs) > 1 else [],
         "seconds": {
-            "prepass": after - began, "planning": planned - after, "precision": compared - planned,
-            "counting": time.perf_counter() - compared,
+            "prepass": after - began, "precision": compared - after, "planning": planned - compared,
+            "counting": time.perf_counter() - planned,
         },
     }  # fmt: skip
-    return Plan(settings, document)
+    return Plan(whole.settings, programs, document)
 
 
 def prepass(scene: Scene, seed: int, rows: int) -> float:
@@ -98,208 +107,3 @@ def prepass(scene: Scene, seed: int, rows: int) -> float:
         pixel, (seed, 2**31)
     )
     return reference(found[None].astype(np.float64), met[None].astype(np.float64))
-
-
-class _Planner:
-    def __init__(self, scene: Scene, tolerance: float, floor: float, seed: int, rows: int) -> None:
-        self.scene, self.tolerance, self.floor = scene, tolerance, floor * FLOOR
-        self.seed, self.rows = seed, rows
-        #: Errors so far, together: those that are bounded, and those that are estimated.
-        self.bounded = self.estimated = 0.0
-        self.surfaces = Surfaces(scene)
-        self.lamps = tuple(range(len(scene.lamps)))
-        #: Of each lamp whether nothing can stand before it, the boxes it took, points where it does.
-        self.proofs = [occlusion.clear(self.surfaces, k) for k in self.lamps]
-        self.clear = [found for found, *_ in self.proofs]
-        self.criteria = Criteria(scene, self.surfaces, self.floor, self.clear)
-
-    def run(self, progress: Progress) -> tuple[Settings, list[dict[str, Any]]]:
-        decisions: list[dict[str, Any]] = []
-        scene, everything = self.scene, Settings.everything(self.scene)
-        # Lamps first: each costs a whole evaluation of every material.
-        dark, spent = self._dark(decisions)
-        self.spend(spent)
-        shadows = tuple(self._shadow(k, decisions) for k in self.lamps)
-        bounces = self._bounces(decisions)
-        merged: Merged | None = None
-        if len(scene.spec.channels) > 1:
-            # What few channels save is little beside what else the tolerance buys.
-            merged, error = channels.merged(scene, bounces, 0.25 * self.left)
-            decisions.append(channels.decision(scene, merged, error))
-            self.spend(error)
-        settings = replace(
-            everything, first=tuple(k not in dark for k in self.lamps), shadows=shadows, bounces=bounces
-        )
-        progress(0.2, "points of lamps")
-        probe = estimates.Probe(scene, replace(settings, bounces=0), self.floor, self.seed, self.rows)
-        points, found, error = estimates.lamps(probe, self.left)
-        decisions += found
-        self.spend(error, estimated=True)
-        progress(0.3, "materials")
-        materials, found, error = estimates.stand_ins(probe, self.left)
-        decisions += found
-        self.spend(error, estimated=True)
-        direct: list[Material] = []
-        worst = 0.0
-        left = self.left
-        for m, one in enumerate(materials):
-            chosen, bound = self._material(m, one, left, decisions)
-            direct.append(chosen)
-            worst = max(worst, bound)
-        self.spend(worst)
-        settings = replace(settings, points=points, direct=tuple(direct))
-        return settings if merged is None else settings.merge(merged), decisions
-
-    @property
-    def left(self) -> float:
-        """What of the tolerance is not spent: errors of steps that follow one another, each relative to what
-        the steps before it left, multiply up."""
-        return (1.0 + self.tolerance) / ((1.0 + self.bounded) * (1.0 + self.estimated)) - 1.0
-
-    def spend(self, error: float, *, estimated: bool = False) -> None:
-        if estimated:
-            self.estimated += error * (1.0 + self.estimated)
-        else:
-            self.bounded += error * (1.0 + self.bounded)
-
-    # Materials --------------------------------------------------------------------------------------
-
-    def _material(
-        self, m: int, one: Material, left: float, decisions: list[dict[str, Any]]
-    ) -> tuple[Material, float]:
-        """The material with the cheapest set of effects whose joint bound is within what is ``left``."""
-        name = self.scene.names[m]
-        if not isinstance(one, ModelMaterial):
-            decisions.append(wording.kept(name, "all", "a raw table has no effects to leave out"))
-            return one, 0.0
-        why = effects.unbounded(one.model)
-        if why is not None:
-            decisions.append(wording.kept(name, "all", why))
-            return one, 0.0
-        start = self.surfaces.start(m, self.lamps)
-        constants = constants_of(self.scene, m, one, self.surfaces)
-        full = operations.of_material(one)
-        names = effects.effects(one.model)[:_MOST]
-        alone = [frozenset({effect}) for effect in names]
-        saved = {
-            effect: full - operations.of_material(replace(one, off=off, constants=constants))
-            for effect, off in zip(names, alone, strict=True)
-        }
-        single = dict(zip(names, self.criteria.decide(m, one, alone, constants, left), strict=True))
-        free = [effect for effect, found in single.items() if found.state == "bounded" and saved[effect] > 0]
-        chosen, bound = frozenset[str](), 0.0
-        sets = self._sets(free, one, constants)
-        known = dict(zip(alone, single.values(), strict=True))
-        for off, found in zip(sets, self.criteria.first(m, one, sets, constants, left, known), strict=False):
-            if found.state == "bounded":
-                chosen, bound = off, found.bound
-        for effect, found in single.items():
-            decisions.append(
-                wording.judged(
-                    name, effect, found, effect in chosen, saved[effect], full, self._lengths(start), free
-                )
-            )
-        if not chosen:
-            return one, 0.0
-        return replace(one, off=chosen, constants=constants), bound
-
-    def _sets(self, free: Sequence[str], one: ModelMaterial, constants: Mapping[str, Any]) -> list[Off]:
-        """All compatible sets of effects, the cheapest program first."""
-        every = [frozenset(some) for n in range(1, len(free) + 1) for some in itertools.combinations(free, n)]
-        cost = {
-            off: operations.of_material(replace(one, off=off, constants=constants))
-            for off in every if effects.compatible(off)
-        }  # fmt: skip
-        return sorted(cost, key=lambda off: (cost[off], sorted(off)))
-
-    def _lengths(self, start: Boxes) -> float:
-        """The largest angle from the normal, degrees, that light or viewer make where something is seen."""
-
-        def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
-            return np.minimum(angles.lz.lo, angles.vz.lo), np.maximum(angles.lz.hi, angles.vz.hi)
-
-        low, _ = hull(self.surfaces, start, cosines)
-        return float(np.rad2deg(np.arccos(min(max(low, 0.0), 1.0))))
-
-    # Lamps, shadows, bounces ------------------------------------------------------------------------
-
-    def _dark(self, decisions: list[dict[str, Any]]) -> tuple[set[int], float]:
-        """Lamps that add nothing visible: the cheapest set whose bounds together are within half the
-        tolerance (the other half is for the materials)."""
-        bounds: dict[int, Decision] = {}
-        for k in self.lamps if len(self.lamps) > 1 else ():
-            others = [j for j in self.lamps if j != k and self.clear[j] and self.scene.lamps[j].is_delta]
-            found = self._lamp(k, others)
-            if found is not None:
-                bounds[k] = found
-        best: tuple[int, ...] = ()
-        usable = [k for k, found in bounds.items() if found.state == "bounded"]
-        for n in range(len(usable), 0, -1):
-            fit = [
-                some for some in itertools.combinations(usable, n)
-                if sum(bounds[k].bound for k in some) <= 0.5 * self.tolerance
-            ]  # fmt: skip
-            if fit:
-                best = min(fit, key=lambda some: sum(bounds[k].bound for k in some))
-                break
-        if len(best) == len(self.lamps):
-            best = best[1:]
-        for k, found in bounds.items():
-            kind = self.scene.lamps[k].kind
-            gone = k in best
-            sentence = (
-                f"light {k} ({kind}) off where the camera looks: error <= {100 * found.bound:.2g} %"
-                if gone else f"light {k} ({kind}) kept: " + wording.reason(found)
-            )  # fmt: skip
-            decisions.append(wording.decision("light", str(k), found, gone, sentence))
-        return set(best), sum(bounds[k].bound for k in best)
-
-    def _lamp(self, k: int, others: Sequence[int]) -> Decision | None:
-        """How much light k adds, beside that of ``others``, which nothing shades, and over 0.01 F at
-        least."""
-        if self.scene.lamps[k].kind == "environment" or self.floor == 0:
-            return None
-        worst: Decision | None = None
-        for m, one in enumerate(self.scene.materials):
-            if not isinstance(one, ModelMaterial) or (effects.unbounded(one.model) is not None):
-                return None
-            found = self.criteria.dark(k, tuple(others), m, one, self.tolerance)
-            if found.state != "bounded":
-                return found
-            if worst is None or found.bound > worst.bound:
-                worst = found
-        return worst
-
-    def _shadow(self, k: int, decisions: list[dict[str, Any]]) -> bool:
-        """Whether rays to lamp k have to be tried."""
-        clear, boxes, witness = self.proofs[k]
-        kind = self.scene.lamps[k].kind
-        error = 0.0 if clear else self.criteria.hidden(k, witness, self.tolerance)
-        if clear:
-            found = Decision("bounded", 0.0, 0.0, boxes)
-            sentence = (
-                f"shadows of light {k} ({kind}) off: nothing can stand between it and any surface, error 0"
-            )
-        else:
-            found = Decision("needed" if error > self.tolerance else "open", float("inf"), error, boxes)
-            sentence = f"shadows of light {k} ({kind}) kept: {wording.reason(found)}"
-        decisions.append(wording.decision("shadows", str(k), found, clear, sentence))
-        return not clear
-
-    def _bounces(self, decisions: list[dict[str, Any]]) -> int:
-        """Reflections between shapes: none where no surface sees another."""
-        wanted = self.scene.spec.bounces
-        if wanted == 0:
-            return 0
-        alone = not any(one.transmits for one in self.scene.materials) and occlusion.nothing_faces(
-            self.surfaces
-        )
-        sentence = (
-            "reflections between shapes off: no surface faces another, error 0"
-            if alone else "reflections between shapes kept: surfaces face each other"
-        )  # fmt: skip
-        if not alone:
-            decisions.append({**wording.kept("all", "bounces", ""), "sentence": sentence})
-            return wanted
-        decisions.append(wording.decision("bounces", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence))
-        return 0

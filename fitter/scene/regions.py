@@ -41,6 +41,12 @@ class Tiles:
             for size, count in ((self.width, self.columns), (self.height, self.rows))
         )  # pyright: ignore[reportReturnType]
 
+    @property
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """The edges of columns and rows in [-1, 1], left to right and down."""
+        x, y = self.edges
+        return 2.0 * x / self.width - 1.0, 2.0 * y / self.height - 1.0
+
     def of_pixel(self, pixel: IntArray) -> IntArray:
         """(N,) the tiles of pixels, which are counted by rows from above."""
         x, y = self.edges
@@ -57,8 +63,14 @@ class Region:
     chosen: frozenset[int]
 
     @staticmethod
-    def whole(camera: Camera) -> Region:
-        return Region(Tiles.of(camera, 1, 1), frozenset({0}))
+    def whole(tiles: Tiles) -> Region:
+        """All of them."""
+        return Region(tiles, frozenset(range(len(tiles))))
+
+    @property
+    def outer(self) -> Region:
+        """The whole picture as one tile."""
+        return Region.whole(Tiles(1, 1, self.tiles.width, self.tiles.height))
 
     def rest(self, others: Iterable[Region]) -> Region:
         """What of it others leave."""
@@ -71,13 +83,11 @@ class Region:
         return np.flatnonzero(np.isin(of, sorted(self.chosen)))
 
     @property
-    def lines(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Edges of columns and rows in [-1, 1], left to right and down, and which tiles (rows, columns)."""
-        x, y = self.tiles.edges
-        mask = np.zeros(len(self.tiles), bool)
-        mask[sorted(self.chosen)] = True
-        ends = 2.0 * x / self.tiles.width - 1.0, 2.0 * y / self.tiles.height - 1.0
-        return (*ends, mask.reshape(self.tiles.rows, self.tiles.columns))
+    def mask(self) -> NDArray[np.bool_]:
+        """(rows, columns) which tiles."""
+        found = np.zeros(len(self.tiles), bool)
+        found[sorted(self.chosen)] = True
+        return found.reshape(self.tiles.rows, self.tiles.columns)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready: tiles as [column, row]."""

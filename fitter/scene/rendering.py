@@ -14,6 +14,7 @@ from fitter.progress import Progress, ignore
 from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.materials import TableMaterial
+from fitter.scene.regions import Region, Tiles
 
 if TYPE_CHECKING:
     from fitter.scene.planning import Plan
@@ -113,8 +114,11 @@ def render(
     if all(limit is None for limit in limits.values()):
         samples = 16
     began = time.perf_counter()
-    chosen = settings or (by.settings if by is not None else Settings.everything(scene))
-    integrator = Integrator(scene, chosen, np.dtype(precision))
+    whole = Region.whole(Tiles.of(scene.spec.camera, 1, 1))
+    chosen = [(settings or Settings.everything(scene), whole)]
+    if settings is None and by is not None:
+        chosen = [(one.settings, one.region) for one in by.programs]
+    integrators = [(Integrator(scene, some, np.dtype(precision)), region.pixels) for some, region in chosen]
     camera, count = scene.spec.camera, len(scene.spec.channels)
     total = camera.width * camera.height
     mean, spread, hits = np.zeros((total, count)), np.zeros((total, count)), np.zeros(total)
@@ -122,17 +126,18 @@ def render(
     history: list[tuple[int, float, float]] = []
     shape = camera.height, camera.width
     while not stopped:
-        for start in range(0, total, BATCH):
-            pixel = np.arange(start, start + min(BATCH, padded(total)))
-            keep = pixel < total
-            found, met = integrator.batch(np.minimum(pixel, total - 1), (seed, done, start))
-            one = found[keep].astype(np.float64)
-            rows = pixel[keep]
-            away = one - mean[rows]
-            mean[rows] += away / (done + 1)
-            spread[rows] += away * (one - mean[rows])
-            hits[rows] += met[keep]
-            progress(_share(done + start / total, began, samples, seconds), f"sample {done + 1}")
+        for k, (integrator, pixels) in enumerate(integrators):
+            for start in range(0, len(pixels), BATCH):
+                rows = pixels[start : start + BATCH]
+                # What fills a batch up repeats its last pixel, and is thrown away.
+                filled = np.pad(rows, (0, min(BATCH, padded(total)) - len(rows)), mode="edge")
+                found, met = integrator.batch(filled, (seed, done, start + k * total))
+                one = found[: len(rows)].astype(np.float64)
+                away = one - mean[rows]
+                mean[rows] += away / (done + 1)
+                spread[rows] += away * (one - mean[rows])
+                hits[rows] += met[: len(rows)]
+                progress(_share(done + start / total, began, samples, seconds), f"sample {done + 1}")
         done += 1
         spent = time.perf_counter() - began
         if done > 1:

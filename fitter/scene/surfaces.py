@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from fitter.scene import kernels
 from fitter.scene.assembly import Scene
 from fitter.scene.intervals import Interval, cosine, increasing, sine, unit_component
 from fitter.scene.lights import Lamp
-from fitter.scene.regions import Region
+from fitter.scene.regions import Region, Tiles
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -128,14 +129,31 @@ class Surfaces:
         self.high = np.concatenate([ends, g.half, high])
         self.material = scene.of_shape[g.shape]
         self.eye = eye
-        basis = kernels.camera_basis(scene.spec.camera)
-        x_lines, y_lines, self.tiles = (region or Region.whole(scene.spec.camera)).lines
-        forward = basis[2]
-        # Normals of planes through the eye and the tiles' edges, to the right and down.
-        self.planes = [
-            np.stack([along / (along @ along) - line * forward for line in lines])
-            for along, lines in ((basis[0], x_lines), (basis[1], y_lines))
+        region = region or Region.whole(Tiles.of(scene.spec.camera, 1, 1))
+        # Of all tiles only the picture's own edges count.
+        everything = len(region.chosen) == len(region.tiles)
+        self.tiles = (region.outer if everything else region).mask
+        self.planes = self._edges((region.outer if everything else region).tiles)
+
+    def _edges(self, tiles: Tiles) -> tuple[FloatArray, FloatArray]:
+        """Normals of planes through the eye and the edges of columns and of rows, to the right and down."""
+        basis = kernels.camera_basis(self.scene.spec.camera)
+        found = [
+            np.stack([along / (along @ along) - line * basis[2] for line in lines])
+            for along, lines in zip(basis, tiles.lines, strict=False)
         ]
+        return found[0], found[1]
+
+    def coordinates(self, primitive: IntArray, point: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Points (P, 3) of primitives (P,) as coordinates (P, 2)."""
+        frame = self.frame[primitive]
+        local = np.einsum("bij,bj->bi", frame, point - self.origin[primitive])
+        ball = primitive < self.spheres
+        radius = np.where(ball, self.radius[primitive], 1.0)
+        azimuth = np.arctan2(local[:, 1], local[:, 0]) % (2 * np.pi)
+        on_ball = np.stack([local[:, 2] / radius, azimuth], axis=1)
+        found = np.where(ball[:, None], on_ball, local[:, :2])
+        return primitive, np.clip(found, self.low[primitive], self.high[primitive])
 
     def start(self, material: int, lamps: tuple[int, ...]) -> Boxes:
         """Boxes that together hold all points of shapes of one material, and of lamps."""
@@ -269,16 +287,32 @@ class Surfaces:
 
     def _in_picture(self, world: Vector) -> NDArray[np.bool_]:
         """(B,) whether boxes may reach into a tile of the region."""
+        return np.asarray((self._reached(world, self.planes) & self.tiles[..., None]).any(axis=(0, 1)))
+
+    def reached(self, tiles: Tiles, rounds: int = 6, most: int = 8_000) -> NDArray[np.bool_]:
+        """(rows, columns) the tiles that a shape may reach into, whichever side of it."""
+        first, *others = (self.start(m, (0,)) for m in np.unique(self.material).tolist())
+        boxes = reduce(Boxes.join, others, first)
+        # Points of lamps don't matter.
+        boxes = replace(boxes, low=boxes.low * [1, 1, 0, 0], high=boxes.high * [1, 1, 0, 0])
+        for _ in range(rounds):
+            if 2 * len(boxes) > most:
+                break
+            boxes = self.halves(boxes)
+        return np.asarray(self._reached(self.angles(boxes).point, self._edges(tiles)).any(axis=2))
+
+    def _reached(self, world: Vector, planes: tuple[FloatArray, FloatArray]) -> NDArray[np.bool_]:
+        """(rows, columns, B) whether boxes may reach into tiles."""
         away = [world[k] - self.eye[k] for k in range(3)]
         wide = 1e-9 * self.size
         reach: list[NDArray[np.bool_]] = []
-        for normals in self.planes:
+        for normals in planes:
             heights = [sum((away[k] * n[k] for k in range(3)), Interval.of(0.0)) for n in normals]
             right = np.stack([h.hi >= -wide for h in heights[:-1]])
             left = np.stack([h.lo <= wide for h in heights[1:]])
             reach.append(right & left)
         columns, rows = reach
-        return np.any(rows[:, None] & columns[None] & self.tiles[..., None], axis=(0, 1))
+        return rows[:, None] & columns[None]
 
     def shows(self, point: FloatArray) -> NDArray[np.bool_]:
         """(P,) whether points (P, 3) lie in a tile of the region."""

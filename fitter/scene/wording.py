@@ -35,7 +35,8 @@ def judged(
 
 def reason(found: Decision) -> str:
     if found.state == "needed":
-        return f"without it a point is {100 * found.found:.3g} % off"
+        much = f"{100 * found.found:.3g} %" if found.found < 1e3 else "more than 100,000 %"
+        return f"without it a point is {much} off"
     if found.state == "bounded":
         return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
     bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"

@@ -1,0 +1,132 @@
+"""Programs: what a plan makes of a region of the picture, step by step within one tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fitter.progress import Progress, ignore
+from fitter.scene import channels, estimates, lighting, occlusion, operations
+from fitter.scene.assembly import Scene
+from fitter.scene.channels import Merged
+from fitter.scene.criteria import Criteria
+from fitter.scene.integrate import Settings
+from fitter.scene.lighting import Proof
+from fitter.scene.materials import Material
+from fitter.scene.regions import Region
+from fitter.scene.selection import select
+from fitter.scene.surfaces import Surfaces
+
+
+@dataclass(frozen=True)
+class Program:
+    """The settings that a region is rendered with, what decided them, and the error: what is bounded of it,
+    and what is estimated."""
+
+    region: Region
+    settings: Settings
+    decisions: Sequence[dict[str, Any]]
+    bound: float
+    estimated: float
+
+    def operations(self, scene: Scene) -> dict[str, float]:
+        """Operations a sample of a pixel of the region, with everything on and by the program."""
+        everything = Settings.everything(scene)
+        counted = {
+            name: operations.of_picture(scene, settings, self.region)
+            for name, settings in (("all", everything), ("planned", self.settings))
+        }
+        return {**counted, "saved": counted["all"] / max(counted["planned"], 1.0)}
+
+
+@dataclass(frozen=True)
+class Task:
+    """What programs of one plan have in common. floor : 0.01 F. rows : rays of a batch. estimated : what of
+    the tolerance is spent already."""
+
+    scene: Scene
+    tolerance: float
+    floor: float
+    seed: int
+    rows: int
+    estimated: float
+    proofs: tuple[Proof, ...]
+
+    @staticmethod
+    def of(
+        scene: Scene, tolerance: float, floor: float, seed: int, rows: int, estimated: float = 0.0
+    ) -> Task:  # fmt: skip
+        surfaces = Surfaces(scene)
+        proofs = tuple(occlusion.clear(surfaces, k) for k in range(len(scene.lamps)))
+        return Task(scene, tolerance, floor, seed, rows, estimated, proofs)
+
+
+class Planner:
+    """Makes the program of one region."""
+
+    def __init__(self, task: Task, region: Region) -> None:
+        self.task, self.region = task, region
+        #: Errors so far, together: those that are bounded, and those that are estimated.
+        self.bounded, self.estimated = 0.0, task.estimated
+        surfaces = Surfaces(task.scene, region)
+        self.criteria = Criteria(task.scene, surfaces, task.floor, [clear for clear, *_ in task.proofs])
+        #: Of the last run.
+        self.probe: estimates.Probe | None = None
+        self.materials: tuple[Material, ...] = task.scene.materials
+
+    def run(self, progress: Progress = ignore) -> Program:
+        """Lamps, shadows, reflections, channels, points of lamps, stand-ins for tables, materials."""
+        task, scene, criteria = self.task, self.task.scene, self.criteria
+        # Lamps first: each costs a whole evaluation of every material.
+        dark, error, decisions = lighting.dark(criteria, task.tolerance)
+        self._spend(error)
+        shadows: list[bool] = []
+        for k, proof in enumerate(task.proofs):
+            needed, decision = lighting.shadow(criteria, k, proof, task.tolerance)
+            shadows.append(needed)
+            decisions.append(decision)
+        bounces, found = lighting.bounces(criteria)
+        decisions += found
+        merged: Merged | None = None
+        if len(scene.spec.channels) > 1:
+            # What few channels save is little beside what else the tolerance buys.
+            merged, error = channels.merged(scene, bounces, 0.25 * self.left)
+            decisions.append(channels.decision(scene, merged, error))
+            self._spend(error)
+        first = tuple(k not in dark for k in criteria.lamps)
+        settings = replace(
+            Settings.everything(scene), first=first, shadows=tuple(shadows), bounces=bounces
+        )  # fmt: skip
+        progress(0.3, "points of lamps")
+        self.probe = estimates.Probe(scene, settings, task.floor, task.seed, task.rows, self.region)
+        points, found, error = estimates.lamps(self.probe, self.left)
+        decisions += found
+        self._spend(error, estimated=True)
+        self.materials, found, error = estimates.stand_ins(self.probe, self.left)
+        decisions += found
+        self._spend(error, estimated=True)
+        progress(0.5, "materials")
+        direct: list[Material] = []
+        worst, left = 0.0, self.left
+        for m, one in enumerate(self.materials):
+            chosen, bound, found = select(criteria, m, one, left)
+            decisions += found
+            direct.append(chosen)
+            worst = max(worst, bound)
+        self._spend(worst)
+        settings = replace(settings, points=points, direct=tuple(direct))
+        settings = settings if merged is None else settings.merge(merged)
+        return Program(self.region, settings, decisions, self.bounded, self.estimated)
+
+    @property
+    def left(self) -> float:
+        """What of the tolerance is not spent: errors of steps that follow one another, each relative to what
+        the steps before it left, multiply up."""
+        return (1.0 + self.task.tolerance) / ((1.0 + self.bounded) * (1.0 + self.estimated)) - 1.0
+
+    def _spend(self, error: float, *, estimated: bool = False) -> None:
+        if estimated:
+            self.estimated += error * (1.0 + self.estimated)
+        else:
+            self.bounded += error * (1.0 + self.bounded)
