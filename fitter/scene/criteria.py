@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from fitter.scene import cells as cells_of
 from fitter.scene import effects, occlusion, search
 from fitter.scene.assembly import Scene
+from fitter.scene.boxes import Angles, Boxes
 from fitter.scene.cells import Cells, Pieces
 from fitter.scene.effects import Off
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.search import Decision
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -147,9 +148,12 @@ class Criteria:
     def _seen(self, cells: Cells, lamps: tuple[int, ...]) -> tuple[Pieces, Angles, int]:
         """The pieces of lamps that may light what the picture may show of cells."""
         every = cells_of.pieces(self.surfaces, cells, lamps)
-        angles = self.surfaces.angles(every.boxes)
+        angles = self.surfaces.angles(every.boxes, (every.cells, every.cell))
         use = angles.seen
-        found = Pieces(every.boxes.take(use), every.cell[use], every.piece[use], every.share[use])
+        found = replace(
+            every, boxes=every.boxes.take(use), cell=every.cell[use], piece=every.piece[use],
+            share=every.share[use],
+        )  # fmt: skip
         return found, angles.take(use), len(every.boxes)
 
     def dark(
@@ -224,7 +228,8 @@ class Criteria:
         where[:, 2:] = np.tile([[s, t] for _, s, t, _ in self.points], (count, 1))
         lamp = np.tile([k for k, *_ in self.points], count)
         boxes = Boxes(np.repeat(primitive, many), lamp, where, where)
-        angles = self.surfaces.angles(boxes)
+        once = boxes.take(np.arange(0, len(lamp), many))
+        angles = self.surfaces.angles(boxes, (once, np.repeat(np.arange(count), many)))
         ball = boxes.primitive < self.surfaces.spheres
         rim = ball & (where[:, 0] <= self.surfaces.low[boxes.primitive, 0])
         angles = replace(angles, vz=Interval.of(np.where(rim, _RIM, angles.vz.mid)))
@@ -255,8 +260,8 @@ class Criteria:
         against = np.maximum(whole, self.floor)
         # Where there is no light at all there is no error.
         error = np.where(against > 0, np.abs(change) / np.where(against > 0, against, 1.0), 0.0)
-        one, first = boxes.take(np.arange(0, len(lamp), many)), angles.take(np.arange(0, len(lamp), many))
-        shown = self.surfaces.inside(one) & occlusion.shown(self.surfaces, one, first)
+        shown = occlusion.shown(self.surfaces, once, angles.take(np.arange(0, len(lamp), many)))
+        shown &= self.surfaces.inside(once)
         return np.where(shown, error.max(axis=2), 0.0)
 
     def certain(

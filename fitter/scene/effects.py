@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from fitter.models import ReflectanceModel
 from fitter.scene import factors
+from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval, increasing
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 FloatArray = NDArray[np.float64]

@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.scene.boxes import Angles, Boxes, Vector
 from fitter.scene.intervals import Interval
 from fitter.scene.lights import Lamp
-from fitter.scene.surfaces import Angles, Boxes, Surfaces, Vector
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

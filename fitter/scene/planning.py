@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.progress import Progress, ignore
-from fitter.scene import effects, factors, occlusion, operations, wording
+from fitter.scene import effects, fresnel, occlusion, operations, wording
 from fitter.scene.assembly import Scene
+from fitter.scene.boxes import Angles, Boxes
 from fitter.scene.criteria import Criteria
 from fitter.scene.effects import Off
 from fitter.scene.integrate import Integrator, Settings
@@ -21,7 +22,7 @@ from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.rendering import BATCH, padded, reference
 from fitter.scene.search import Decision, hull
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 
@@ -90,7 +91,7 @@ def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict
     surfaces = surfaces or Surfaces(scene)
 
     def cosines(angles: Angles) -> tuple[FloatArray, FloatArray]:
-        c = factors.facet_cosine(angles)
+        c = fresnel.facet_cosine(angles)
         return c.lo, c.hi
 
     low, high = hull(surfaces, surfaces.start(m, tuple(range(len(scene.lamps)))), cosines)
@@ -98,7 +99,7 @@ def constants_of(scene: Scene, m: int, surfaces: Surfaces | None = None) -> dict
     c = Interval.of(np.linspace(min(low, high), max(low, high), 65))
     found: list[float] = []
     for k in range(len(one.model.channels)):
-        f = factors.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
+        f = fresnel.reflectance(one.model.spec, effects.of_channel(one.model, k), c).mid
         least, most = float(f.min()), float(f.max())
         found.append(2 * least * most / (least + most) if most > 0 else 0.0)
     # As the kernels hold it.

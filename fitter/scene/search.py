@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.scene import cells as cells_of
+from fitter.scene.boxes import Angles, Boxes
 from fitter.scene.cells import Cells
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
