@@ -34,7 +34,7 @@ Groups = Sequence[tuple[int, list[int]]]
 #: n.v at the rims of spheres, which stands for the limit there.
 _RIM = 1e-290
 #: Boxes of no size that points are tried with at once.
-_TRIED, _POINTS = 16_000, 400
+_TRIED, _POINTS, _FEW = 16_000, 256, 64
 #: Halvings of the interval that m is sought in, and where it ends.
 _HALVINGS, _LARGEST = 10, 1e3
 
@@ -59,7 +59,7 @@ class Criteria:
         self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float
     ) -> list[Decision]:  # fmt: skip
         """The joint errors of sets of effects of material m."""
-        start, found = self._probed(m, one, sets, constants, tolerance)
+        start, found = self._probed(m, one, sets, constants, tolerance, _POINTS)
         return self._decide(start, one, sets, constants, tolerance, found)
 
     def first(
@@ -67,26 +67,31 @@ class Criteria:
         known: Mapping[Off, Decision],
     ) -> Iterator[Decision]:  # fmt: skip
         """The same one by one, up to the first that is bounded; some are ``known``."""
-        if not sets:
-            return
-        start, found = self._probed(m, one, sets, constants, tolerance)
         failed: list[Off] = []
-        for off, met in zip(sets, found, strict=True):
-            if any(bad <= off for bad in failed):
-                yield Decision("open", np.inf, float(met), 0)
-                continue
-            decision = known.get(off) or self._decide(start, one, [off], constants, tolerance, met[None])[0]
+        met: dict[Off, float] = {}
+        start = cells_of.start(self.surfaces, m)
+        for off in sets:
+            decision = known.get(off)
+            if decision is None and any(bad <= off for bad in failed):
+                decision = Decision("open", np.inf, 0.0, 0)
+            if decision is None:
+                if not met:
+                    rest = [other for other in sets if other not in known]
+                    start, found = self._probed(m, one, rest, constants, tolerance, _FEW)
+                    met = dict(zip(rest, found.tolist(), strict=True))
+                (decision,) = self._decide(start, one, [off], constants, tolerance, np.array([met[off]]))
             yield decision
             if decision.state == "bounded":
                 return
             failed.append(off)
 
     def _probed(
-        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float
+        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float,
+        most: int,
     ) -> tuple[Cells, FloatArray]:  # fmt: skip
         start = cells_of.start(self.surfaces, m)
         groups = self.channels(one.model)
-        most = max(16, min(_TRIED // len(self.points), _POINTS))
+        most = max(16, min(_TRIED // len(self.points), most))
         found = search.probe(
             self.surfaces, start, lambda p, x: self.sampled(p, x, one.model, sets, constants, groups),
             tolerance, most,

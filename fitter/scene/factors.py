@@ -85,8 +85,7 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     tan2 = _slopes(angles)
     area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
     if spec.ndf == "beckmann":
-        found = (-(tan2 / area)).exp() * (tan2 + 1.0).squared() * (1.0 / (math.pi * area))
-        return found, Interval.of(np.ones(tan2.lo.shape))
+        return _gaussian(tan2, area), Interval.of(np.ones(tan2.lo.shape))
     cos2 = (tan2 + 1.0).reciprocal()
     stretch = Interval.of(1.0 / area)
     if spec.anisotropic:
@@ -95,6 +94,19 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     density = _mixed(cos2, stretch).squared().reciprocal() * (1.0 / (math.pi * area))
     ratio = (stretch - 1.0 / area) * (tan2.reciprocal() + 1.0 / area).reciprocal() + 1.0
     return density, ratio.clip(0, np.inf).squared()
+
+
+def _gaussian(tan2: Interval, area: float) -> Interval:
+    """exp(-t/alpha^2) (1 + t)^2/(pi alpha^2) of t = tan^2: rises up to t = 2 alpha^2 - 1, then falls to 0."""
+
+    def at(t: FloatArray) -> FloatArray:
+        t = np.minimum(t, 1e4 * (1 + area))
+        return np.exp(-t / area) * (1.0 + t) ** 2 / (math.pi * area)
+
+    ends = at(tan2.lo), at(tan2.hi)
+    top = at(np.clip(2.0 * area - 1.0, tan2.lo, tan2.hi))
+    # An exponent of up to 700 loses as many units; from 1e4 on both are less than the smallest number.
+    return increasing(np.minimum(*ends), np.maximum(np.maximum(*ends), top), 10_000)
 
 
 def _half(angles: Angles) -> tuple[Interval, Interval]:

@@ -168,11 +168,10 @@ class _Planner:
         for off, found in zip(sets, self.criteria.first(m, one, sets, constants, left, known), strict=False):
             if found.state == "bounded":
                 chosen, bound = off, found.bound
+        degrees = self._lengths(start)
         for effect, found in single.items():
             decisions.append(
-                wording.judged(
-                    name, effect, found, effect in chosen, saved[effect], full, self._lengths(start), free
-                )
+                wording.judged(name, effect, found, effect in chosen, saved[effect], full, degrees, free)
             )
         if not chosen:
             return one, 0.0
