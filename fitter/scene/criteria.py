@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fitter.scene import cells as cells_of
 from fitter.scene import effects, occlusion, search
 from fitter.scene.assembly import Scene
-from fitter.scene.boxes import Angles, Boxes
+from fitter.scene.boxes import Angles, Boxes, taken
 from fitter.scene.cells import Cells, Pieces
 from fitter.scene.effects import Off
 from fitter.scene.intervals import Interval
@@ -35,6 +35,8 @@ Groups = Sequence[tuple[int, list[int]]]
 _RIM = 1e-290
 #: Boxes of no size that points are tried with at once.
 _TRIED, _POINTS, _FEW = 16_000, 256, 64
+#: Primitives whose shadows on single cells are asked for, at most.
+_SHADES = 8
 #: Halvings of the interval that m is sought in, and where it ends.
 _HALVINGS, _LARGEST = 10, 1e3
 
@@ -138,7 +140,7 @@ class Criteria:
         found, angles, taken = self._seen(cells, self.lamps)
         shape = len(cells), int(found.piece.max(initial=0)) + 1
         worst = np.zeros((len(sets), len(cells)))
-        open_ = self.clear[found.boxes.lamp]
+        open_ = self._open(found, angles)
         for channel, members in groups:
             sure = np.zeros(len(open_))
             if shape[1] > 1:
@@ -160,6 +162,16 @@ class Criteria:
             share=every.share[use],
         )  # fmt: skip
         return found, angles.take(use), len(every.boxes)
+
+    def _open(self, found: Pieces, angles: Angles) -> NDArray[np.bool_]:
+        """Of each piece whether nothing stands before it, proved."""
+        clear = self.clear[found.boxes.lamp]
+        for k in self.lamps if len(self.lamps) > 1 and len(self.surfaces.radius) <= _SHADES else ():
+            if self.scene.lamps[k].is_delta and not self.clear[k]:
+                mine = np.flatnonzero(found.boxes.lamp == k)
+                boxes, point = found.boxes.take(mine), taken(angles.point, mine)
+                clear[mine] = ~occlusion.doubtful(self.surfaces, boxes, point, k)
+        return clear
 
     def dark(
         self, k: int, others: tuple[int, ...], m: int, one: ModelMaterial, tolerance: float

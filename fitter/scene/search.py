@@ -74,7 +74,7 @@ def decide(
         active, upper, goal = [active[j] for j in rows], upper[rows], goal[rows]
         if not active:
             break
-        keep = (upper > goal[:, None]).any(axis=0)
+        keep = np.asarray((upper > goal[:, None]).any(axis=0))
         closed[active] = np.maximum(closed[active], upper[:, ~keep].max(axis=1, initial=0.0))
         cells, upper = cells.take(keep), upper[:, keep]
         order = np.argsort(-(upper / goal[:, None]).max(axis=0), kind="stable")
