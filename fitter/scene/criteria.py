@@ -149,7 +149,7 @@ class Criteria:
             for k, off in enumerate(sets):
                 e, absolute, _ = effects.relative(effects.terms(model, off, constants, angles, channel))
                 d = self.over_floor(absolute, found.boxes, angles, members) * found.share
-                worst[k] = np.maximum(worst[k], _joint(e, d, sure, found, shape))
+                worst[k] = np.maximum(worst[k], joint(e, d, sure, found, shape))
         return worst, taken
 
     def _seen(self, cells: Cells, lamps: tuple[int, ...]) -> tuple[Pieces, Angles, int]:
@@ -292,7 +292,7 @@ class Criteria:
         return np.nan_to_num(radiance, nan=0.0, posinf=0.0)
 
 
-def _joint(
+def joint(
     e: FloatArray, d: FloatArray, sure: FloatArray, found: Pieces, shape: tuple[int, int]
 ) -> FloatArray:
     """The bound (B,) of pieces' e, d and s (see the module)."""
