@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene.surfaces import Boxes, Surfaces
+from fitter.scene.boxes import Boxes
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -45,8 +46,10 @@ class Cells:
 
 @dataclass(frozen=True)
 class Pieces:
-    """I boxes; the cell and its piece each belongs to, and the share of the lamp that the piece is, (I,)."""
+    """I boxes; the cell and its piece each belongs to, and the share of the lamp that the piece is, (I,). The
+    cells as boxes of no lamp."""
 
+    cells: Boxes
     boxes: Boxes
     cell: IntArray
     piece: IntArray
@@ -81,7 +84,12 @@ def pieces(surfaces: Surfaces, cells: Cells, lamps: tuple[int, ...]) -> Pieces:
         first = first + count
     primitive, lamp, cell, piece = (np.concatenate(one) for one in zip(*parts, strict=True))
     boxes = Boxes(primitive, lamp, np.concatenate(low), np.concatenate(high))
-    return Pieces(boxes, cell, piece, np.concatenate(share))
+    flat = np.zeros((len(cells), 2))
+    alone = Boxes(
+        cells.primitive, np.zeros(len(cells), np.intp), np.concatenate([cells.low, flat], axis=1),
+        np.concatenate([cells.high, flat], axis=1),
+    )  # fmt: skip
+    return Pieces(alone, boxes, cell, piece, np.concatenate(share))
 
 
 def halves(surfaces: Surfaces, cells: Cells) -> Cells:

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fitter.scene import factors
+from fitter.scene import factors, fresnel
+from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 _NOTHING = frozenset[str]()
@@ -31,7 +31,7 @@ def top(
 def passage(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> Interval:
     """What passes the coat twice, absorption included."""
     own = _facets(spec)
-    f = factors.reflectance(own, values, factors.facet_cosine(angles))
+    f = fresnel.reflectance(own, values, fresnel.facet_cosine(angles))
     g = factors.unshadowed(own, values, angles)
     found = (1.0 - f) * (1.0 - f * g)
     if values["tau"] > 0:
@@ -44,7 +44,7 @@ def beneath(values: Mapping[str, float], angles: Angles) -> Angles:
     """The angles of the refracted directions; their tangents are not followed."""
     eta = values["eta"]
     n2 = Interval.of(np.asarray(eta)).squared()
-    c = factors.facet_cosine(angles)
+    c = fresnel.facet_cosine(angles)
     r = (n2 - 1.0 + c.squared()).clip(0, np.inf).sqrt()
     own = (r / c + 1.0) * (0.5 / eta)
     other = (n2 - 1.0) / (c * (r + c)) * (0.5 / eta)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene import coats, effects, factors
+from fitter.scene import coats, effects, fresnel
 from fitter.scene.assembly import Scene
+from fitter.scene.boxes import Angles
 from fitter.scene.facets import as_facets
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.search import hull
-from fitter.scene.surfaces import Angles, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 
@@ -45,11 +46,11 @@ def constants_of(
 
     def reflected(channel: int) -> tuple[float, float]:
         spec, values = as_facets(model.spec, effects.of_channel(model, channel))
-        f = factors.reflectance(spec, values, cosines).mid
+        f = fresnel.reflectance(spec, values, cosines).mid
         return float(f.min()), float(f.max())
 
     def cosine(angles: Angles) -> tuple[FloatArray, FloatArray]:
-        c = factors.facet_cosine(angles)
+        c = fresnel.facet_cosine(angles)
         return c.lo, c.hi
 
     if "fresnel" in wanted:

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitter.models.lafortune import lobe_coefficients, lobe_suffixes
+from fitter.scene.boxes import Angles
 from fitter.scene.factors import slopes, turned
 from fitter.scene.intervals import Interval, increasing
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 #: More than what rounding changes a coefficient by, all being at most 1.
@@ -59,7 +59,7 @@ def _power(c: tuple[float, float, float], psi: float, n: float, angles: Angles) 
     """(n + 2)/(2 pi) max(0, Cx xi xo + Cy yi yo + Cz zi zo)^n; 0 to the power 0 is 0."""
     x, y, z = (Interval(np.asarray(one - _ROUNDED), np.asarray(one + _ROUNDED)) for one in c)
     along = angles.lz * angles.vz
-    (lx, ly), (vx, vy) = (turned(psi, w) for w in (angles.l, angles.v))
+    (lx, ly), (vx, vy) = (turned(psi, angles, w) for w in (angles.l, angles.v))
     ax, ay = lx * vx, ly * vy
     mean = (x + y) * 0.5
     base = mean * angles.dot + (z - mean) * along

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from fitter.scene import cells as cells_of
 from fitter.scene import effects, occlusion, search
 from fitter.scene.assembly import Scene
+from fitter.scene.boxes import Angles, Boxes, taken
 from fitter.scene.cells import Cells, Pieces
 from fitter.scene.effects import Off
 from fitter.scene.intervals import Interval
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.search import Decision
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -33,7 +34,9 @@ Groups = Sequence[tuple[int, list[int]]]
 #: n.v at the rims of spheres, which stands for the limit there.
 _RIM = 1e-290
 #: Boxes of no size that points are tried with at once.
-_TRIED, _POINTS = 16_000, 400
+_TRIED, _POINTS, _FEW = 16_000, 256, 64
+#: Primitives whose shadows on single cells are asked for, at most.
+_SHADES = 8
 #: Halvings of the interval that m is sought in, and where it ends.
 _HALVINGS, _LARGEST = 10, 1e3
 
@@ -58,7 +61,7 @@ class Criteria:
         self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float
     ) -> list[Decision]:  # fmt: skip
         """The joint errors of sets of effects of material m."""
-        start, found = self._probed(m, one, sets, constants, tolerance)
+        start, found = self._probed(m, one, sets, constants, tolerance, _POINTS)
         return self._decide(start, one, sets, constants, tolerance, found)
 
     def first(
@@ -66,26 +69,31 @@ class Criteria:
         known: Mapping[Off, Decision],
     ) -> Iterator[Decision]:  # fmt: skip
         """The same one by one, up to the first that is bounded; some are ``known``."""
-        if not sets:
-            return
-        start, found = self._probed(m, one, sets, constants, tolerance)
         failed: list[Off] = []
-        for off, met in zip(sets, found, strict=True):
-            if any(bad <= off for bad in failed):
-                yield Decision("open", np.inf, float(met), 0)
-                continue
-            decision = known.get(off) or self._decide(start, one, [off], constants, tolerance, met[None])[0]
+        met: dict[Off, float] = {}
+        start = cells_of.start(self.surfaces, m)
+        for off in sets:
+            decision = known.get(off)
+            if decision is None and any(bad <= off for bad in failed):
+                decision = Decision("open", np.inf, 0.0, 0)
+            if decision is None:
+                if not met:
+                    rest = [other for other in sets if other not in known]
+                    start, found = self._probed(m, one, rest, constants, tolerance, _FEW)
+                    met = dict(zip(rest, found.tolist(), strict=True))
+                (decision,) = self._decide(start, one, [off], constants, tolerance, np.array([met[off]]))
             yield decision
             if decision.state == "bounded":
                 return
             failed.append(off)
 
     def _probed(
-        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float
+        self, m: int, one: ModelMaterial, sets: Sequence[Off], constants: Mapping[str, Any], tolerance: float,
+        most: int,
     ) -> tuple[Cells, FloatArray]:  # fmt: skip
         start = cells_of.start(self.surfaces, m)
         groups = self.channels(one.model)
-        most = max(16, min(_TRIED // len(self.points), _POINTS))
+        most = max(16, min(_TRIED // len(self.points), most))
         found = search.probe(
             self.surfaces, start, lambda p, x: self.sampled(p, x, one.model, sets, constants, groups),
             tolerance, most,
@@ -132,7 +140,7 @@ class Criteria:
         found, angles, taken = self._seen(cells, self.lamps)
         shape = len(cells), int(found.piece.max(initial=0)) + 1
         worst = np.zeros((len(sets), len(cells)))
-        open_ = self.clear[found.boxes.lamp]
+        open_ = self._open(found, angles)
         for channel, members in groups:
             sure = np.zeros(len(open_))
             if shape[1] > 1:
@@ -141,16 +149,29 @@ class Criteria:
             for k, off in enumerate(sets):
                 e, absolute, _ = effects.relative(effects.terms(model, off, constants, angles, channel))
                 d = self.over_floor(absolute, found.boxes, angles, members) * found.share
-                worst[k] = np.maximum(worst[k], _joint(e, d, sure, found, shape))
+                worst[k] = np.maximum(worst[k], joint(e, d, sure, found, shape))
         return worst, taken
 
     def _seen(self, cells: Cells, lamps: tuple[int, ...]) -> tuple[Pieces, Angles, int]:
         """The pieces of lamps that may light what the picture may show of cells."""
         every = cells_of.pieces(self.surfaces, cells, lamps)
-        angles = self.surfaces.angles(every.boxes)
+        angles = self.surfaces.angles(every.boxes, (every.cells, every.cell))
         use = angles.seen
-        found = Pieces(every.boxes.take(use), every.cell[use], every.piece[use], every.share[use])
+        found = replace(
+            every, boxes=every.boxes.take(use), cell=every.cell[use], piece=every.piece[use],
+            share=every.share[use],
+        )  # fmt: skip
         return found, angles.take(use), len(every.boxes)
+
+    def _open(self, found: Pieces, angles: Angles) -> NDArray[np.bool_]:
+        """Of each piece whether nothing stands before it, proved."""
+        clear = self.clear[found.boxes.lamp]
+        for k in self.lamps if len(self.lamps) > 1 and len(self.surfaces.radius) <= _SHADES else ():
+            if self.scene.lamps[k].is_delta and not self.clear[k]:
+                mine = np.flatnonzero(found.boxes.lamp == k)
+                boxes, point = found.boxes.take(mine), taken(angles.point, mine)
+                clear[mine] = ~occlusion.doubtful(self.surfaces, boxes, point, k)
+        return clear
 
     def dark(
         self, k: int, others: tuple[int, ...], m: int, one: ModelMaterial, tolerance: float
@@ -224,7 +245,8 @@ class Criteria:
         where[:, 2:] = np.tile([[s, t] for _, s, t, _ in self.points], (count, 1))
         lamp = np.tile([k for k, *_ in self.points], count)
         boxes = Boxes(np.repeat(primitive, many), lamp, where, where)
-        angles = self.surfaces.angles(boxes)
+        once = boxes.take(np.arange(0, len(lamp), many))
+        angles = self.surfaces.angles(boxes, (once, np.repeat(np.arange(count), many)))
         ball = boxes.primitive < self.surfaces.spheres
         rim = ball & (where[:, 0] <= self.surfaces.low[boxes.primitive, 0])
         angles = replace(angles, vz=Interval.of(np.where(rim, _RIM, angles.vz.mid)))
@@ -255,8 +277,8 @@ class Criteria:
         against = np.maximum(whole, self.floor)
         # Where there is no light at all there is no error.
         error = np.where(against > 0, np.abs(change) / np.where(against > 0, against, 1.0), 0.0)
-        one, first = boxes.take(np.arange(0, len(lamp), many)), angles.take(np.arange(0, len(lamp), many))
-        shown = self.surfaces.inside(one) & occlusion.shown(self.surfaces, one, first)
+        shown = occlusion.shown(self.surfaces, once, angles.take(np.arange(0, len(lamp), many)))
+        shown &= self.surfaces.inside(once)
         return np.where(shown, error.max(axis=2), 0.0)
 
     def certain(
@@ -270,7 +292,7 @@ class Criteria:
         return np.nan_to_num(radiance, nan=0.0, posinf=0.0)
 
 
-def _joint(
+def joint(
     e: FloatArray, d: FloatArray, sure: FloatArray, found: Pieces, shape: tuple[int, int]
 ) -> FloatArray:
     """The bound (B,) of pieces' e, d and s (see the module)."""

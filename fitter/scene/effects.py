@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fitter.models import ReflectanceModel
 from fitter.scene import families
-from fitter.scene.surfaces import Angles
+from fitter.scene.boxes import Angles
 from fitter.scene.terms import Asked, Off, Term
 
 FloatArray = NDArray[np.float64]

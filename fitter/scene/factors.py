@@ -7,88 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.scene.boxes import Angles
+from fitter.scene.fresnel import facet_cosine, reflectance
 from fitter.scene.intervals import Interval, increasing, unit_component
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 FloatArray = NDArray[np.float64]
 Off = frozenset[str]
-
-#: Cells of the tables of exact Fresnel terms, a power of two.
-_CELLS = 1 << 13
-
-
-def facet_cosine(angles: Angles) -> Interval:
-    """cos theta_d = sqrt((1 + l.v)/2)."""
-    return ((angles.dot + 1.0) * 0.5).sqrt().clip(0, 1)
-
-
-def reflectance(spec: ModelSpec, values: Mapping[str, float], c: Interval) -> Interval:
-    """The Fresnel term over an interval of cosines."""
-    if spec.fresnel == "schlick":
-        f0 = values["f0"]
-        return ((1.0 - c).clip(0, 1).power5() * (1.0 - f0) + f0).clip(0.0, max(1.0, f0))
-    if spec.fresnel in (None, "none"):
-        return Interval.of(np.ones(c.lo.shape))
-    exact = values["eta"], values["kappa"] if spec.fresnel == "conductor" else None
-    low, high = _table(*exact)
-    # The cells that hold both ends, and all between, as two rows of a power of two of them that overlap.
-    first, last = (np.clip((x * _CELLS).astype(np.intp), 0, _CELLS - 1) for x in (c.lo, c.hi))
-    level = np.frexp(last - first + 1)[1] - 1
-    other = last - (1 << level) + 1
-    wide = Interval(
-        np.minimum(low[level, first], low[level, other]), np.maximum(high[level, first], high[level, other])
-    )
-    narrow = np.flatnonzero(level == 0)
-    if not len(narrow):
-        return wide
-    near = _exact(*exact, Interval(c.lo[narrow], c.hi[narrow])).meet(
-        Interval(wide.lo[narrow], wide.hi[narrow])
-    )
-    wide.lo[narrow], wide.hi[narrow] = near.lo, near.hi
-    return wide
-
-
-@lru_cache(maxsize=64)
-def _table(eta: float, kappa: float | None) -> tuple[FloatArray, FloatArray]:
-    """Bounds of an exact Fresnel term over 2^k cells of cosines from each on, in row k: it need not be
-    monotone, and each cosine appears in it often."""
-    edges = np.arange(_CELLS + 1) / _CELLS
-    one = _exact(eta, kappa, Interval(edges[:-1], edges[1:]))
-    low, high = [one.lo], [one.hi]
-    for k in range(_CELLS.bit_length() - 1):
-        on = np.minimum(np.arange(_CELLS) + (1 << k), _CELLS - 1)
-        low.append(np.minimum(low[-1], low[-1][on]))
-        high.append(np.maximum(high[-1], high[-1][on]))
-    return np.stack(low), np.stack(high)
-
-
-def _exact(eta: float, kappa: float | None, c: Interval) -> Interval:
-    """Fresnel's equations for a dielectric, or (with ``kappa``) a conductor."""
-    c2 = c.squared()
-    if kappa is None:
-        n2 = Interval.of(eta).squared()
-        g = (n2 - 1.0 + c2).clip(0, np.inf).sqrt()
-        s = ((n2 - 1.0) / (c + g).squared()).squared()
-        p = ((n2 - 1.0) * (c2 * (n2 + 1.0) - 1.0) / (n2 * c + g).squared()).squared()
-        return ((s + p) * 0.5).clip(0, 1)
-    n, k = Interval.of(eta), Interval.of(kappa)
-    s2 = (1.0 - c2).clip(0, 1)
-    q = n.squared() - k.squared() - s2
-    m = (q.squared() + (2.0 * n * k).squared()).sqrt()
-    a = ((m + q) * 0.5).clip(0, np.inf).sqrt()
-    # |g - c|^2/|g + c|^2 and |g c - s^2|^2/|g c + s^2|^2 of the root g, as 1 - 2x/(1 + x): one quotient.
-    x = 2.0 * a * c / (m + c2)
-    y = 2.0 * a * c * s2 / (m * c2 + s2.squared())
-    s = ((1.0 - x) / (1.0 + x)).clip(0, 1)
-    p = ((1.0 - y) / (1.0 + y)).clip(0, 1)
-    return (s * (p + 1.0) * 0.5).clip(0, 1)
 
 
 def facets(
@@ -155,33 +85,54 @@ def _density(spec: ModelSpec, values: Mapping[str, float], angles: Angles) -> tu
     tan2 = slopes(angles)
     area = values["alpha_x"] * values["alpha_y"] if spec.anisotropic else values["alpha"] ** 2
     if spec.ndf == "beckmann":
-        found = (-(tan2 / area)).exp() * (tan2 + 1.0).squared() * (1.0 / (math.pi * area))
-        return found, Interval.of(np.ones(tan2.lo.shape))
+        return _gaussian(tan2, area), Interval.of(np.ones(tan2.lo.shape))
     cos2 = (tan2 + 1.0).reciprocal()
     stretch = Interval.of(1.0 / area)
     if spec.anisotropic:
-        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
+        stretch = _stretch(values, angles)
     # 1/(pi area (cos^2 + stretch sin^2)^2), and the ratio as 1 + (difference of stretches) times one term.
     density = _mixed(cos2, stretch).squared().reciprocal() * (1.0 / (math.pi * area))
     ratio = (stretch - 1.0 / area) * (tan2.reciprocal() + 1.0 / area).reciprocal() + 1.0
     return density, ratio.clip(0, np.inf).squared()
 
 
+def _gaussian(tan2: Interval, area: float) -> Interval:
+    """exp(-t/alpha^2) (1 + t)^2/(pi alpha^2) of t = tan^2: rises up to t = 2 alpha^2 - 1, then falls to 0."""
+
+    def at(t: FloatArray) -> FloatArray:
+        t = np.minimum(t, 1e4 * (1 + area))
+        return np.exp(-t / area) * (1.0 + t) ** 2 / (math.pi * area)
+
+    ends = at(tan2.lo), at(tan2.hi)
+    top = at(np.clip(2.0 * area - 1.0, tan2.lo, tan2.hi))
+    # An exponent of up to 700 loses as many units; from 1e4 on both are less than the smallest number.
+    return increasing(np.minimum(*ends), np.maximum(np.maximum(*ends), top), 10_000)
+
+
 def _half(angles: Angles) -> tuple[Interval, Interval]:
     return angles.l[0] + angles.v[0], angles.l[1] + angles.v[1]
 
 
-def turned(psi: float, w: tuple[Interval, Interval]) -> tuple[Interval, Interval]:
-    """Components in a frame whose x axis has azimuth psi."""
+def _stretch(values: Mapping[str, float], angles: Angles) -> Interval:
+    """1/alpha^2 in the azimuth of the half vector."""
+    along, across = (1.0 / values[name] ** 2 for name in ("alpha_x", "alpha_y"))
+    return _mean(values, along, across, angles, _half(angles))
+
+
+def turned(
+    psi: float, angles: Angles, w: tuple[Interval, Interval]
+) -> tuple[Interval, Interval]:  # fmt: skip
+    """Components w along the tangents in the frame of roughness: the sample's axes, turned by psi."""
     c, s = math.cos(psi), math.sin(psi)
-    return w[0] * c + w[1] * s, w[1] * c - w[0] * s
+    p, q = angles.axis[1] * c + angles.axis[0] * s, angles.axis[1] * s - angles.axis[0] * c
+    return w[0] * p + w[1] * q, w[1] * p - w[0] * q
 
 
 def _mean(
-    values: Mapping[str, float], along: float, across: float, w: tuple[Interval, Interval]
+    values: Mapping[str, float], along: float, across: float, angles: Angles, w: tuple[Interval, Interval]
 ) -> Interval:  # fmt: skip
     """along cos^2 + across sin^2 of the azimuth of w in the frame of roughness, which appears once."""
-    x, y = turned(values["psi"], w)
+    x, y = turned(values["psi"], angles, w)
     found = unit_component(x, y.squared()).squared() * (along - across) + across
     return found.clip(min(along, across) * (1 - 1e-15), max(along, across) * (1 + 1e-15))
 
@@ -289,7 +240,7 @@ def _anisotropic(values: Mapping[str, float], off: Off, angles: Angles) -> tuple
     squares = values["alpha_x"] ** 2, values["alpha_y"] ** 2
     l, v = angles.lz, angles.vz
     mean = values["alpha_x"] * values["alpha_y"]
-    a, b = (_mean(values, *squares, w) for w in (angles.l, angles.v))
+    a, b = (_mean(values, *squares, angles, w) for w in (angles.l, angles.v))
     exact = v * _root(a, l) + l * _root(b, v)
     value = 0.5 / exact
     # tan^2 of each direction.
@@ -313,7 +264,7 @@ def ward(spec: ModelSpec, values: Mapping[str, float], off: Off, angles: Angles)
     exponent = tan2 / area
     ratio = Interval.of(np.ones(l.lo.shape))
     if spec.anisotropic:
-        stretch = _mean(values, 1.0 / values["alpha_x"] ** 2, 1.0 / values["alpha_y"] ** 2, _half(angles))
+        stretch = _stretch(values, angles)
         if "anisotropy" in off:
             ratio = ((stretch - 1.0 / area) * tan2).exp()
         exponent = stretch * tan2

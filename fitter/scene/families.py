@@ -14,7 +14,7 @@ import numpy as np
 
 from fitter.models import ReflectanceModel, composite
 from fitter.models.lafortune import lobe_suffixes
-from fitter.scene import coats, cosine_lobes, factors, multiple
+from fitter.scene import coats, cosine_lobes, factors, fresnel, multiple
 from fitter.scene.facets import as_facets, model_as_facets
 from fitter.scene.intervals import Interval, increasing
 from fitter.scene.terms import Asked, Term
@@ -48,8 +48,8 @@ def terms(asked: Asked) -> list[Term]:
         level = np.full(angles.lz.lo.shape, base)
         level = increasing(level, level)
         if spec.diffuse == "coupled":
-            cosine = factors.facet_cosine(angles)
-            entering = (1.0 - factors.reflectance(spec, asked.values, cosine)).clip(0, 1)
+            cosine = fresnel.facet_cosine(angles)
+            entering = (1.0 - fresnel.reflectance(spec, asked.values, cosine)).clip(0, 1)
             ratio = (1.0 - asked.constant("fresnel")) / entering if "fresnel" in off else 1.0
             found.append(asked.term("diffuse", level * entering, ratio=ratio))
         else:

@@ -194,3 +194,24 @@ def unit_component(d: Interval, rest2: Interval) -> Interval:
     lost = (d.lo <= 0) & (d.hi >= 0) & (rest2.lo <= 0)
     found = increasing(np.where(lost, -1.0, low), np.where(lost, 1.0, high))
     return found.clip(-1.0, 1.0)
+
+
+def unit(
+    d: tuple[Interval, Interval, Interval],
+) -> tuple[Interval, Interval, Interval]:
+    """A vector, normalised."""
+    squares = [one.squared() for one in d]
+    found = [unit_component(d[k], squares[(k + 1) % 3] + squares[(k + 2) % 3]) for k in range(3)]
+    return found[0], found[1], found[2]
+
+
+def about(a: Interval, c: Interval, z: Interval, turn: float) -> Interval:
+    """sin(theta + turn) c + cos(theta + turn) z of a = cos(theta), theta in [0, pi]: r cos(theta - phi),
+    theta once, at either end of c and of z, in which it is linear."""
+    theta = np.arccos(np.clip(a.hi, -1, 1)) + turn, np.arccos(np.clip(a.lo, -1, 1)) + turn
+    # All four corners at once; roundings of angles and of r are below 4 units.
+    x, y = np.stack([c.lo, c.lo, c.hi, c.hi]), np.stack([z.lo, z.hi, z.lo, z.hi])
+    r, phi = np.hypot(x, y), np.arctan2(x, y)
+    turned = cosine(Interval(theta[0] - phi - 2e-15, theta[1] - phi + 2e-15))
+    slack = 8e-15 * r
+    return Interval((turned.lo * r - slack).min(axis=0), (turned.hi * r + slack).max(axis=0))

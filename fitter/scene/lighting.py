@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from fitter.scene import effects, occlusion, wording
+from fitter.scene.boxes import Boxes
 from fitter.scene.criteria import Criteria
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.search import Decision
-from fitter.scene.surfaces import Boxes
 
 #: Of a lamp whether nothing can stand before it, the boxes that took, points where something does.
 Proof = tuple[bool, int, Boxes]

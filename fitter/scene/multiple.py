@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from fitter.models import scattering_loss
 from fitter.models.kulla_conty import colour_of
+from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval, increasing
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 FloatArray = NDArray[np.float64]

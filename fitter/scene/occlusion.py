@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from fitter.scene.boxes import Angles, Boxes, Vector
 from fitter.scene.intervals import Interval
 from fitter.scene.lights import Lamp
-from fitter.scene.surfaces import Angles, Boxes, Surfaces, Vector
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -112,7 +113,7 @@ def clear(surfaces: Surfaces, k: int) -> tuple[bool, int, Boxes]:
     used = len(boxes)
     while len(boxes):
         boxes = boxes.take(_lit(surfaces, boxes))
-        boxes = boxes.take(_doubtful(surfaces, boxes, k))
+        boxes = boxes.take(doubtful(surfaces, boxes, surfaces.angles(boxes).point, k))
         if not len(boxes):
             return True, used, none
         middle = boxes.middle()
@@ -144,11 +145,8 @@ def _lit(surfaces: Surfaces, boxes: Boxes) -> BoolArray:
     return surfaces.angles(boxes).lz.hi > 0
 
 
-def _doubtful(surfaces: Surfaces, boxes: Boxes, k: int) -> BoolArray:
-    """(B,) whether a segment from a box to the lamp may meet another primitive."""
-    if not len(boxes):
-        return np.zeros(0, bool)
-    x = surfaces.angles(boxes).point
+def doubtful(surfaces: Surfaces, boxes: Boxes, x: Vector, k: int) -> BoolArray:
+    """(B,) whether a segment from a box, of points x, to the lamp may meet another primitive."""
     lamp = surfaces.lamps[k]
     if lamp.kind == "directional":
         far = 4.0 * surfaces.size
@@ -166,7 +164,7 @@ def _doubtful(surfaces: Surfaces, boxes: Boxes, k: int) -> BoolArray:
                 for c in range(3)
             ]
         d = (y[0] - x[0], y[1] - x[1], y[2] - x[2])
-    doubtful = np.zeros(len(boxes), bool)
+    found = np.zeros(len(boxes), bool)
     # Shares of the way, more of them near the surface, where other things are near in proportion.
     edges = (np.arange(_PIECES + 1) / _PIECES) ** 2
     g = surfaces.scene.geometry
@@ -177,7 +175,7 @@ def _doubtful(surfaces: Surfaces, boxes: Boxes, k: int) -> BoolArray:
             other = boxes.primitive != j
             if j < surfaces.spheres:
                 squared = sum(((p[c] - g.center[j, c]).squared() for c in range(3)), Interval.of(0.0))
-                doubtful |= other & (squared.lo <= g.radius[j] ** 2)
+                found |= other & (squared.lo <= g.radius[j] ** 2)
                 continue
             frame, low, high = surfaces.frame[j], surfaces.low[j], surfaces.high[j]
             local = [
@@ -188,8 +186,8 @@ def _doubtful(surfaces: Surfaces, boxes: Boxes, k: int) -> BoolArray:
             touches = (local[2].lo <= wide) & (local[2].hi >= -wide)
             for i in (0, 1):
                 touches &= (local[i].lo <= high[i] + wide) & (local[i].hi >= low[i] - wide)
-            doubtful |= other & touches
-    return doubtful
+            found |= other & touches
+    return found
 
 
 def nothing_faces(surfaces: Surfaces) -> bool:

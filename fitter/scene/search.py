@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.scene import cells as cells_of
+from fitter.scene.boxes import Angles, Boxes
 from fitter.scene.cells import Cells
-from fitter.scene.surfaces import Angles, Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -31,7 +32,7 @@ _AT_ONCE = 256
 #: Cells whose middles are tried, every so many rounds.
 _MIDDLES, _EVERY = 16, 4
 #: A bound this much above an error that was found is tight enough, and one that is below this much.
-TIGHT, LEAST = 1.4, 1e-6
+TIGHT, LEAST = 1.4, 1e-5
 #: Rounds of zooming, and points that each has around the largest of each error.
 _ROUNDS, _NEAR = 6, 10
 
@@ -60,7 +61,7 @@ def decide(
     while active:
         goal = np.full(len(active), tolerance)
         if used < POLISH:
-            goal = np.clip(TIGHT * found[active], LEAST * tolerance, tolerance)
+            goal = np.clip(TIGHT * found[active], min(LEAST, tolerance), tolerance)
         worst = np.maximum(closed[active], upper.max(axis=1, initial=0.0))
         for i, bound, enough in zip(active, worst.tolist(), goal.tolist(), strict=True):
             if found[i] > tolerance:

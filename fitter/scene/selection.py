@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.scene import effects, operations, wording
+from fitter.scene.boxes import Angles
 from fitter.scene.constants import constants_of
 from fitter.scene.criteria import Criteria
 from fitter.scene.effects import Off
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.search import hull
-from fitter.scene.surfaces import Angles
 
 FloatArray = NDArray[np.float64]
 #: Effects of a material that all sets are tried of.

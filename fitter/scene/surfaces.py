@@ -1,30 +1,19 @@
-"""Boxes of surface points times points of lamps, and the directions that they enclose.
-
-A box is a rectangle (a, b) of coordinates on one primitive (of its frame on rectangles and triangles; on
-spheres a = cos of the angle from the centre's direction to the camera, b = azimuth about it), times, of area
-lamps, a rectangle (s, t) in [-1, 1]^2, and of an environment all directions (s = cos theta, t = azimuth).
-"""
+"""The directions that boxes (:mod:`fitter.scene.boxes`) enclose, of all primitives of a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from functools import reduce
-from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitter.scene import kernels
 from fitter.scene.assembly import Scene
-from fitter.scene.intervals import Interval, cosine, increasing, sine, unit_component
+from fitter.scene.boxes import Angles, Boxes, FloatArray, IntArray, Vector, taken
+from fitter.scene.intervals import Interval, about, cosine, increasing, sine, unit, unit_component
 from fitter.scene.lights import Lamp
 from fitter.scene.regions import Region, Tiles
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-Vector = tuple[Interval, Interval, Interval]
-T = TypeVar("T")
 
 #: By how much coordinates that were turned into a primitive's frame are widened, relative to the scene's
 #: size.
@@ -34,66 +23,22 @@ _START = 4
 
 
 @dataclass(frozen=True)
-class Boxes:
-    """B boxes: of primitive and lamp (B,), low and high (B, 4) in a, b, s, t."""
+class _Spots:
+    """What rectangles of surfaces have in common, whatever lights them: n.v, directions to the viewer, points
+    in the primitive's frame and the world's, (cos, sin) of azimuths on spheres, and the sample's axis."""
 
-    primitive: IntArray
-    lamp: IntArray
-    low: FloatArray
-    high: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.lamp)
-
-    def take(self, index: NDArray[Any]) -> Boxes:
-        return Boxes(self.primitive[index], self.lamp[index], self.low[index], self.high[index])
-
-    def join(self, other: Boxes) -> Boxes:
-        return Boxes(
-            np.concatenate([self.primitive, other.primitive]), np.concatenate([self.lamp, other.lamp]),
-            np.concatenate([self.low, other.low]), np.concatenate([self.high, other.high]),
-        )  # fmt: skip
-
-    def middle(self) -> Boxes:
-        """The boxes' centres, as boxes of no size."""
-        mid = 0.5 * (self.low + self.high)
-        return replace(self, low=mid, high=mid)
-
-    def side(self, k: int) -> Interval:
-        return Interval(self.low[:, k], self.high[:, k])
-
-
-@dataclass(frozen=True)
-class Angles:
-    """Enclosures of what a reflectance depends on, (B,) each: cosines of light and viewer with the normal,
-    their dot product, their tangential components, and the irradiance on a surface facing the light over the
-    lamp's level. ``seen``: neither unlit, nor turned away, nor outside the picture for certain."""
-
-    lz: Interval
+    boxes: Boxes
+    x: Vector
+    v: Vector
     vz: Interval
-    dot: Interval
-    l: tuple[Interval, Interval]
-    v: tuple[Interval, Interval]
-    arriving: Interval
-    seen: NDArray[np.bool_]
-    point: Vector
-    kept: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], compare=False)
+    around: tuple[Interval, Interval]
+    axis: tuple[Interval, Interval]
+    world: Vector
+    inside: NDArray[np.bool_]
 
-    def once(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What is made of these angles, kept: sets of effects have most of it in common."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        return cast(T, self.kept[key])
-
-    def take(self, index: NDArray[Any]) -> Angles:
-        def cut(i: Interval) -> Interval:
-            return Interval(i.lo[index], i.hi[index])
-
-        return Angles(
-            cut(self.lz), cut(self.vz), cut(self.dot), (cut(self.l[0]), cut(self.l[1])),
-            (cut(self.v[0]), cut(self.v[1])), cut(self.arriving), self.seen[index],
-            (cut(self.point[0]), cut(self.point[1]), cut(self.point[2])),
-        )  # fmt: skip
+    def take(self, index: IntArray) -> _Spots:
+        names = (one.name for one in fields(self) if one.name != "boxes")
+        return _Spots(self.boxes.take(index), **{name: taken(getattr(self, name), index) for name in names})
 
 
 class Surfaces:
@@ -202,71 +147,71 @@ class Surfaces:
         low[rows, cut] = mid
         return replace(boxes, high=high).join(replace(boxes, low=low))
 
-    def angles(self, boxes: Boxes) -> Angles:
-        """Enclosures over boxes."""
+    def angles(self, boxes: Boxes, shared: tuple[Boxes, IntArray] | None = None) -> Angles:
+        """Enclosures over boxes; ``shared`` are rectangles (lamps do not matter) and which of them each box
+        is over."""
+        spots = self._spots(boxes) if shared is None else self._spots(shared[0]).take(shared[1])
+        on_sphere = boxes.primitive < self.spheres
+        frame, origin = self.frame[boxes.primitive], self.origin[boxes.primitive]
+        l, arriving = self._light(boxes, frame, origin, spots.x)
+        sky = self._sky(boxes)
+        vz, v = spots.vz, spots.v
+        lz, l_t, v_t = l[2], (l[0], l[1]), (v[0], v[1])
+        dot = (l[0] * v[0] + l[1] * v[1] + l[2] * v[2]).clip(-1, 1)
+        if self.spheres and on_sphere.any():
+            # Tangents along the meridian and the parallel: the viewer is on the axis.
+            c, s = spots.around
+            across = ((1.0 - vz) * (1.0 + vz)).clip(0, 1).sqrt()
+            outward = l[0] * c + l[1] * s
+            up, along = (about(boxes.side(0), outward, l[2], turn) for turn in (0.0, 0.5 * np.pi))
+            turned = up, along, l[1] * c - l[0] * s
+            # The sky's directions are about the normal already, from the viewer's side.
+            up, along, aside = (
+                one.where(sky, other) for one, other in zip((l[2], -l[0], -l[1]), turned, strict=True)
+            )
+            lz = up.clip(-1, 1).where(on_sphere, lz)
+            l_t = along.where(on_sphere, l_t[0]), aside.where(on_sphere, l_t[1])
+            level = Interval(np.full(len(boxes), -_TURNED), np.full(len(boxes), _TURNED))
+            v_t = (-across).where(on_sphere, v_t[0]), level.where(on_sphere, v_t[1])
+            inner = (lz * vz - along * across).clip(-1, 1)
+            dot = inner.where(sky & on_sphere, inner.meet(dot).where(on_sphere, dot))
+        seen = (lz.hi > 0) & (vz.hi > 0) & spots.inside & (arriving.hi > 0)
+        return Angles(
+            lz.clip(0.0, 1.0), vz.clip(0.0, 1.0), dot, l_t, v_t, spots.axis, arriving, seen, spots.world
+        )
+
+    def _spots(self, boxes: Boxes) -> _Spots:
         on_sphere = boxes.primitive < self.spheres
         frame, origin = self.frame[boxes.primitive], self.origin[boxes.primitive]
         a, b = boxes.side(0), boxes.side(1)
-        radius = self.radius[boxes.primitive]
-        # The point and the normal in the primitive's frame.
-        s = ((1.0 - a.clip(-1, 1)) * (1.0 + a.clip(-1, 1))).sqrt()
         zero, one = Interval.of(np.zeros(len(boxes))), Interval.of(np.ones(len(boxes)))
-        n_b = cosine(b), sine(b)
-        n: Vector = (
-            (s * n_b[0]).where(on_sphere, zero), (s * n_b[1]).where(on_sphere, zero), a.where(on_sphere, one),
-        )  # fmt: skip
-        r = Interval.of(radius)
-        x: Vector = (
-            (r * n[0]).where(on_sphere, a),
-            (r * n[1]).where(on_sphere, b),
-            (r * n[2]).where(on_sphere, zero),
-        )
+        x: Vector = (a, b, zero)
+        around = axis = zero, one
+        if self.spheres and on_sphere.any():
+            # The point in the primitive's frame.
+            c, s = around = cosine(b), sine(b)
+            across = ((1.0 - a.clip(-1, 1)) * (1.0 + a.clip(-1, 1))).sqrt()
+            r = Interval.of(self.radius[boxes.primitive])
+            n = across * c, across * s, a
+            x = (r * n[0]).where(on_sphere, a), (r * n[1]).where(on_sphere, b), (r * a).where(on_sphere, zero)
+            # The sample's y axis is the world's z, projected.
+            p, q, z = (Interval.of(frame[:, k, 2]) for k in range(3))
+            out = p * c + q * s
+            slack = Interval(np.array(-8 * _TURNED), np.array(8 * _TURNED))
+            along, aside = a * out - across * z + slack, q * c - p * s + slack
+            axis = (
+                unit_component(along, aside.squared()).where(on_sphere, zero),
+                unit_component(aside, along.squared()).where(on_sphere, one),
+            )
         eye = self._local(frame, self.eye - origin)
-        v = _unit((eye[0] - x[0], eye[1] - x[1], eye[2] - x[2]))
-        away = (
-            Interval.of(self.distance[np.minimum(boxes.primitive, max(self.spheres - 1, 0))])
-            if self.spheres
-            else zero
-        )
+        v = unit((eye[0] - x[0], eye[1] - x[1], eye[2] - x[2]))
         vz = v[2]
-        if self.spheres:
+        if self.spheres and on_sphere.any():
             # n.v of a sphere is monotone in the one coordinate a.
-            vz = _seen_from(away, r, a).where(on_sphere, vz)
-        l, arriving, local = self._light(boxes, frame, origin, x, on_sphere, vz)
-        lz = _about(n[2], l[0] * n_b[0] + l[1] * n_b[1], l[2]).where(on_sphere, l[2])
-        lz = local[2].where(self._sky(boxes), lz)
-        dot = (l[0] * v[0] + l[1] * v[1] + l[2] * v[2]).clip(-1, 1)
-        sky_sphere = self._sky(boxes) & on_sphere
-        if sky_sphere.any():
-            # Light and viewer about the normal, azimuths from the viewer's.
-            across = ((1.0 - vz) * (1.0 + vz)).sqrt()
-            dot = (local[0] * across + local[2] * vz).clip(-1, 1).where(sky_sphere, dot)
+            away = Interval.of(self.distance[np.minimum(boxes.primitive, self.spheres - 1)])
+            vz = _seen_from(away, Interval.of(self.radius[boxes.primitive]), a).where(on_sphere, vz)
         world = self._world(frame, origin, x)
-        seen = (lz.hi > 0) & (vz.hi > 0) & self._in_picture(world) & (arriving.hi > 0)
-        lz, vz = lz.clip(0.0, 1.0), vz.clip(0.0, 1.0)
-        l_t, v_t = (l[0], l[1]), (v[0], v[1])
-        if on_sphere.any():
-            l_t, v_t = (self._tangential(frame, n, w, z, on_sphere) for w, z in ((l, lz), (v, vz)))
-        if sky_sphere.any():
-            # Azimuths are from the viewer's, wherever the tangents are.
-            any_ = Interval(np.full(len(boxes), -1.0), np.full(len(boxes), 1.0))
-            l_t, v_t = ((any_.where(sky_sphere, w[0]), any_.where(sky_sphere, w[1])) for w in (l_t, v_t))
-        return Angles(lz, vz, dot, l_t, v_t, arriving, seen, world)
-
-    def _tangential(
-        self, frame: FloatArray, n: Vector, w: Vector, z: Interval, on_sphere: NDArray[np.bool_]
-    ) -> tuple[Interval, Interval]:
-        """Components along the tangents of a sphere, of which x runs along circles of latitude: with the
-        world's axis p, (p x n).w and p.w - (p.n)(n.w), over |p x n|."""
-        p: Vector = (Interval.of(frame[:, 0, 2]), Interval.of(frame[:, 1, 2]), Interval.of(frame[:, 2, 2]))
-        # The frame's rows are unit vectors to rounding.
-        wide = Interval(np.array(-4 * _TURNED), np.array(4 * _TURNED))
-        up = (p[0] * n[0] + p[1] * n[1] + p[2] * n[2] + wide).clip(-1, 1)
-        scale = ((1.0 - up) * (1.0 + up)).clip(0, 1).sqrt().reciprocal()
-        across = [p[(k + 1) % 3] * n[(k + 2) % 3] - p[(k + 2) % 3] * n[(k + 1) % 3] for k in range(3)]
-        x = (across[0] * w[0] + across[1] * w[1] + across[2] * w[2] + wide) * scale
-        y = (p[0] * w[0] + p[1] * w[1] + p[2] * w[2] + wide - up * z) * scale
-        return x.clip(-1, 1).where(on_sphere, w[0]), y.clip(-1, 1).where(on_sphere, w[1])
+        return _Spots(boxes, x, v, vz, around, axis, world, self._in_picture(world))
 
     def _sky(self, boxes: Boxes) -> NDArray[np.bool_]:
         kinds = np.array([one.kind == "environment" for one in self.lamps])
@@ -325,59 +270,53 @@ class Surfaces:
         return np.any(rows[:, :, None] & columns[:, None] & self.tiles, axis=(1, 2))
 
     def _light(
-        self, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector, on_sphere: NDArray[np.bool_],
-        vz: Interval,
-    ) -> tuple[Vector, Interval, Vector]:  # fmt: skip
-        """Directions to the lamp in the primitive's frame, irradiance over level, and those of the sky about
-        the normal."""
+        self, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector
+    ) -> tuple[Vector, Interval]:  # fmt: skip
+        """Directions to the lamp in the primitive's frame (the sky's: about the normal), and irradiance over
+        level."""
+        present = np.unique(boxes.lamp).tolist()
+        if len(present) == 1:
+            return self._from(self.lamps[present[0]], boxes, frame, origin, x)
+        low, high = np.zeros((2, 4, len(boxes)))
+        for k in present:
+            mine = np.flatnonzero(boxes.lamp == k)
+            l, arriving = self._from(
+                self.lamps[k], boxes.take(mine), frame[mine], origin[mine], taken(x, mine)
+            )
+            for row, one in enumerate((*l, arriving)):
+                low[row, mine], high[row, mine] = one.lo, one.hi
+        found = [Interval(a, b) for a, b in zip(low, high, strict=True)]
+        return (found[0], found[1], found[2]), found[3]
+
+    def _from(
+        self, one: Lamp, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector
+    ) -> tuple[Vector, Interval]:
         count = len(boxes)
-        full = lambda: Interval(np.full(count, -1.0), np.full(count, 1.0))  # noqa: E731
-        l: Vector = (full(), full(), full())
-        arriving = Interval.of(np.zeros(count))
         s, t = boxes.side(2), boxes.side(3)
-        local: Vector = (full(), full(), full())
-        for k in np.unique(boxes.lamp).tolist():
-            mine = boxes.lamp == k
-            one: Lamp = self.lamps[k]
-            scale = Interval.of(np.ones(count))
-            if one.kind == "directional":
-                found = self._local(frame, np.broadcast_to(one.place, (count, 3)))
-                found = (found[0].clip(-1, 1), found[1].clip(-1, 1), found[2].clip(-1, 1))
-            elif one.kind == "environment":
-                across = ((1.0 - s.clip(0, 1)) * (1.0 + s.clip(0, 1))).sqrt()
-                found = (across * cosine(t), across * sine(t), s)
-                local = (
-                    found[0].where(mine, local[0]),
-                    found[1].where(mine, local[1]),
-                    found[2].where(mine, local[2]),
-                )
-                assert one.picture is not None
-                # Radiance times the solid angle of the hemisphere bounds what one direction may stand for.
-                scale = Interval.of(np.full(count, 2 * np.pi * float(one.picture.max())))
-            else:
-                place = self._local(frame, one.place - origin)
-                if one.kind == "area":
-                    assert one.frame is not None
-                    assert one.half is not None
-                    u = self._local(frame, np.broadcast_to(one.half[0] * one.frame[0], (count, 3)))
-                    w = self._local(frame, np.broadcast_to(one.half[1] * one.frame[1], (count, 3)))
-                    place = (
-                        place[0] + s * u[0] + t * w[0], place[1] + s * u[1] + t * w[1],
-                        place[2] + s * u[2] + t * w[2],
-                    )  # fmt: skip
-                d = (place[0] - x[0], place[1] - x[1], place[2] - x[2])
-                found = _unit(d)
-                squared = (d[0].squared() + d[1].squared() + d[2].squared()).maximum(Interval.of(1e-12))
-                scale = squared.reciprocal()
-                if one.kind == "area":
-                    assert one.frame is not None
-                    assert one.half is not None
-                    normal = self._local(frame, np.broadcast_to(one.frame[2], (count, 3)))
-                    faces = -(found[0] * normal[0] + found[1] * normal[1] + found[2] * normal[2])
-                    scale = scale * faces.clip(0, 1) * (4.0 * float(one.half[0] * one.half[1]))
-            l = (found[0].where(mine, l[0]), found[1].where(mine, l[1]), found[2].where(mine, l[2]))
-            arriving = scale.where(mine, arriving)
-        return l, arriving, local
+        if one.kind == "directional":
+            found = self._local(frame, np.broadcast_to(one.place, (count, 3)))
+            near = (found[0].clip(-1, 1), found[1].clip(-1, 1), found[2].clip(-1, 1))
+            return near, Interval.of(np.ones(count))
+        if one.kind == "environment":
+            across = ((1.0 - s.clip(0, 1)) * (1.0 + s.clip(0, 1))).sqrt()
+            assert one.picture is not None
+            # Radiance times the solid angle of the hemisphere bounds what one direction may stand for.
+            level = Interval.of(np.full(count, 2 * np.pi * float(one.picture.max())))
+            return (across * cosine(t), across * sine(t), s), level
+        place = self._local(frame, one.place - origin)
+        if one.frame is None or one.half is None:
+            d = (place[0] - x[0], place[1] - x[1], place[2] - x[2])
+            return unit(d), _closeness(d)
+        u = self._local(frame, np.broadcast_to(one.half[0] * one.frame[0], (count, 3)))
+        w = self._local(frame, np.broadcast_to(one.half[1] * one.frame[1], (count, 3)))
+        d = (
+            place[0] + s * u[0] + t * w[0] - x[0], place[1] + s * u[1] + t * w[1] - x[1],
+            place[2] + s * u[2] + t * w[2] - x[2],
+        )  # fmt: skip
+        l = unit(d)
+        normal = self._local(frame, np.broadcast_to(one.frame[2], (count, 3)))
+        faces = -(l[0] * normal[0] + l[1] * normal[1] + l[2] * normal[2])
+        return l, _closeness(d) * faces.clip(0, 1) * (4.0 * float(one.half[0] * one.half[1]))
 
     def inside(self, boxes: Boxes) -> NDArray[np.bool_]:
         """Whether centres lie on their primitive: a triangle fills half of its rectangle."""
@@ -397,27 +336,10 @@ class Surfaces:
         return found
 
 
-def _unit(d: Vector) -> Vector:
-    squares = [one.squared() for one in d]
-    found = [unit_component(d[k], squares[(k + 1) % 3] + squares[(k + 2) % 3]) for k in range(3)]
-    return found[0], found[1], found[2]
-
-
-def _about(a: Interval, c: Interval, z: Interval) -> Interval:
-    """sin(theta) c + cos(theta) z of a = cos(theta), theta in [0, pi]: r cos(theta - phi), every variable
-    once, at either end of c and of z, in which it is linear."""
-    theta = Interval(np.arccos(np.clip(a.hi, -1, 1)), np.arccos(np.clip(a.lo, -1, 1)))
-    found: Interval | None = None
-    for x in (c.lo, c.hi):
-        for y in (z.lo, z.hi):
-            r, phi = np.hypot(x, y), np.arctan2(x, y)
-            turned = cosine(Interval(theta.lo - phi - 1e-15, theta.hi - phi + 1e-15))
-            one = Interval(turned.lo * r - 4e-15 * r, turned.hi * r + 4e-15 * r)
-            found = one if found is None else Interval(
-                np.minimum(found.lo, one.lo), np.maximum(found.hi, one.hi)
-            )
-    assert found is not None
-    return found.clip(-1, 1)
+def _closeness(d: Vector) -> Interval:
+    """1/d^2, of lamps no nearer than a millionth."""
+    squared = (d[0].squared() + d[1].squared() + d[2].squared()).maximum(Interval.of(1e-12))
+    return squared.reciprocal()
 
 
 def _seen_from(distance: Interval, radius: Interval, a: Interval) -> Interval:

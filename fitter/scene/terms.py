@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval
-from fitter.scene.surfaces import Angles
 from fitter.spec import ModelSpec
 
 Off = frozenset[str]

@@ -1,12 +1,14 @@
 """Scenes: plans' bounds against true errors, by common random numbers, on a suite and on random scenes.
 
-A true error is the largest |L - L'| / max(L, 0.01 F) met in float64 at random points of every pixel, direct
-light and reflections included, in pictures that differ by the plan alone.
+A true error is the largest |L - L'| / max(L, 0.01 F) met in float64: at random points of every pixel, direct
+light and reflections included, in pictures that differ by the plan alone, and zoomed into
+(tests/evidence/zoom.py), for the plan and for each effect and light that it leaves out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,10 @@ import numpy as np
 from fitter.scene import plan, scene
 from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.materials import ModelMaterial
+from fitter.scene.planning import Plan
 from tests.evidence.study import Outcome, Study
+from tests.evidence.zoom import Zoom
 
 TOLERANCES = (0.001, 0.01, 0.1)
 #: Random scenes of a full run, and in each of the subjects they are shared out to.
@@ -198,6 +203,25 @@ def true_error(found: Scene, settings: Settings, floor: float, passes: int) -> f
     return worst
 
 
+def left_out(found: Scene, planned: Plan) -> list[tuple[float, Settings]]:
+    """What a plan leaves out, one effect or light at a time: its bound, and the settings without it alone."""
+    everything = Settings.everything(found)
+    one: list[tuple[float, Settings]] = []
+    for told in planned.document["decisions"]:
+        if not told["off"]:
+            continue
+        if told["effect"] == "light":
+            first = tuple(k != int(told["subject"]) for k in range(len(found.lamps)))
+            one.append((told["bound"], replace(everything, first=first)))
+        elif told["subject"] in found.names:
+            m = found.names.index(told["subject"])
+            direct, chosen = list(everything.direct), planned.settings.direct[m]
+            assert isinstance(chosen, ModelMaterial)
+            direct[m] = replace(chosen, off=frozenset({told["effect"]}))
+            one.append((told["bound"], replace(everything, direct=tuple(direct))))
+    return one
+
+
 def judge(name: str, share: float, seed: int) -> Outcome:
     """One scene of the suite, or a part of the random ones, at all tolerances."""
     if name in SUITE:
@@ -213,8 +237,11 @@ def judge(name: str, share: float, seed: int) -> Outcome:
     decisions = open_ = off = 0
     for k, one in enumerate(documents):
         found = scene(one)
-        for tolerance in TOLERANCES:
-            planned = plan(found, tolerance=tolerance)
+        plans = [plan(found, tolerance=tolerance) for tolerance in TOLERANCES]
+        at: int | None = None
+        whole: list[tuple[float, Settings]] = []
+        alone: list[tuple[float, Settings]] = []
+        for tolerance, planned in zip(TOLERANCES, plans, strict=True):
             told = planned.document
             seconds.append(told["seconds"]["planning"])
             decisions += len(told["decisions"])
@@ -222,18 +249,33 @@ def judge(name: str, share: float, seed: int) -> Outcome:
             off += sum(d["off"] for d in told["decisions"])
             if tolerance == 0.01:
                 saved.append(told["operations"]["saved"])
-            true = true_error(found, planned.settings, told["reference"], passes=8)
-            if true > told["bound"] * (1 + 1e-9) + 1e-9 or told["bound"] > tolerance:
+            true = true_error(found, planned.settings, told["reference"], passes=4)
+            whole.append((told["bound"], planned.settings))
+            alone += left_out(found, planned)
+            if told["bound"] > tolerance:
+                violations.append({"what": "a bound above its tolerance", "scene": k, "bound": told["bound"]})
+            if true > told["bound"] * (1 + 1e-9) + 1e-9:
                 violations.append(
                     {
                         "what": "an error above its bound", "scene": k, "tolerance": tolerance, "true": true,
                         "bound": told["bound"],
                     }
                 )  # fmt: skip
-            if true > 1e-5:
-                ratios.append(told["bound"] / true)
             if told["bound"] >= bound:
-                bound, worst = told["bound"], true
+                bound, at = told["bound"], len(whole) - 1
+        if any(lamp.kind == "environment" for lamp in found.lamps):
+            continue
+        zoom = Zoom(found, 0.01 * plans[0].document["reference"])
+        met = zoom.largest([settings for _, settings in (*whole, *alone)], seed).tolist()
+        for (least, _), true in zip((*whole, *alone), met, strict=True):
+            if true > least * (1 + 1e-9) + 1e-9:
+                violations.append(
+                    {"what": "an error zoomed into above its bound", "scene": k, "true": true, "bound": least}
+                )
+        worst = met[at] if at is not None else worst
+        ratios += [
+            least / true for (least, _), true in zip(alone, met[len(whole) :], strict=True) if true > 1e-5
+        ]
     figures = {
         "scenes": len(documents), "decisions": decisions, "off": off, "open": open_, "largest bound": bound,
         "its true error": worst, "bound / true, median": float(np.median(ratios)) if ratios else None,

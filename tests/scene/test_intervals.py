@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitter.scene.intervals import Interval, cosine, increasing, sine, unit_component
+from fitter.scene.intervals import Interval, about, cosine, increasing, sine, unit_component
 
 NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 SHARE = st.floats(0.0, 1.0)
@@ -77,3 +77,18 @@ def test_quotients_by_zero_are_the_whole_line_or_half_of_it() -> None:
     assert (one / around).hi[0] == np.inf
     assert 0.9 < (one / above).lo[0] <= 1
     assert (one / above).hi[0] == np.inf
+
+
+@given(boxes(low=0.0), boxes(), boxes(), st.sampled_from([0.0, 0.5]))
+@settings(max_examples=200)
+def test_turned_cosines_contain_every_result(
+    a: tuple[Interval, mpmath.mpf], b: tuple[Interval, mpmath.mpf], c: tuple[Interval, mpmath.mpf],
+    turn: float,
+) -> None:  # fmt: skip
+    (p, x), (q, y), (r, z) = a, b, c
+    with mpmath.workdps(40):
+        # Cosines between -1 and 1.
+        p, x = p * 0.002 - 1.0, x * mpmath.mpf(0.002) - 1
+        p = p.clip(-1, 1)
+        theta = mpmath.acos(min(max(x, -1), 1)) + mpmath.mpf(turn * np.pi)
+        assert holds(about(p, q, r, turn * np.pi), mpmath.sin(theta) * y + mpmath.cos(theta) * z)

@@ -14,11 +14,12 @@ from fitter.models import create
 from fitter.models.pair import Pair
 from fitter.scene import effects, operations, plan, render, scene
 from fitter.scene.assembly import Scene
+from fitter.scene.boxes import Boxes
 from fitter.scene.integrate import Integrator, Settings
 from fitter.scene.layers import layers
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.shading import value
-from fitter.scene.surfaces import Boxes, Surfaces
+from fitter.scene.surfaces import Surfaces
 from fitter.spec import model_spec
 from tests.scene.scenes import document
 
