@@ -165,7 +165,7 @@ class Worker:
 
         wanted = job.request
         scene = scene_of(wanted["scene"], self._store.get, self._tables)
-        asked = {name: wanted[name] for name in ("seed", "precision")}
+        asked = {name: wanted[name] for name in ("seed", "precision", "tiles")}
         planned = plan(scene, progress=progress, **asked) if wanted["plan"] else None
         limits = {name: wanted[name] for name in ("samples", "seconds", "target_error", "seed", "precision")}
         found = render(scene, by=planned, progress=progress, **limits)

@@ -34,7 +34,8 @@ def plan_scene(wanted: schemas.PlanRequest, here: Here) -> Response:
     scene = scene_of(wanted.scene, here.find, here.service.tables)
     # As reports do, it takes every core there is.
     with here.service.report_lock:
-        found = plan(scene, tolerance=wanted.tolerance, seed=wanted.seed, precision=wanted.precision)
+        asked = {name: getattr(wanted, name) for name in ("tolerance", "seed", "precision", "tiles")}
+        found = plan(scene, **asked)
     return Response(dumps(found.document), media_type="application/json")
 
 

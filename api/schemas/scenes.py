@@ -24,6 +24,12 @@ SceneDocument = Annotated[
 ]
 
 
+Tiles = Annotated[
+    tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=64)]],
+    Field(description="of the plan: columns and rows; up to three programs are made for them"),
+]
+
+
 class PlanRequest(Request):
     """A scene, and what its plan may change: `tolerance` is the scene's own where it is left out."""
 
@@ -33,6 +39,7 @@ class PlanRequest(Request):
     tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     seed: Seed = 0
     precision: Literal["float32", "float64", "auto"] = "float32"
+    tiles: Tiles = (1, 1)
 
 
 class RenderRequest(Request):
@@ -51,6 +58,7 @@ class RenderRequest(Request):
         "float32", description="auto: what the plan finds to do"
     )
     plan: bool = False
+    tiles: Tiles = (1, 1)
     layers: bool = Field(False, description="one layer in the OpenEXR file for each effect")
 
     @model_validator(mode="after")
@@ -71,6 +79,7 @@ class PlanDocument(BaseModel):
     estimated: float = Field(description="the error of all that was tried at random points only, together")
     reference: float = Field(description="F: errors are relative to max(L, 0.01 F)")
     decisions: list[dict[str, Any]]
+    programs: list[dict[str, Any]] = Field(description="of the tiles, where there are several")
     operations: dict[str, float]
 
 

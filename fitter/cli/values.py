@@ -44,6 +44,14 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+def grid(text: str) -> tuple[int, int]:
+    """Columns and rows, as ``8x6``."""
+    columns, _, rows = text.partition("x")
+    if not (columns.isdigit() and rows.isdigit() and int(columns) and int(rows)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not COLUMNSxROWS, as 8x6")
+    return int(columns), int(rows)
+
+
 def duration(text: str) -> float:
     """Seconds of ``2s``, ``500ms``, ``1.5min``, or of a bare number."""
     for unit, seconds in (("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)):

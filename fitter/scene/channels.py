@@ -103,9 +103,8 @@ def decision(scene: Scene, found: Merged | None, bound: float) -> dict[str, Any]
     """The plan's entry."""
     names = scene.spec.channels
     if found is None:
-        return wording.kept(
-            "all", "channels", f"{', '.join(names)} kept apart: lights or materials tell them apart"
-        )
+        sentence = f"{', '.join(names)} kept apart: lights or materials tell them apart"
+        return {**wording.kept("all", "channels", ""), "sentence": sentence}
     groups = [[names[c] for c, k in enumerate(found.of) if k == j] for j in range(len(found.columns))]
     told = "; ".join(" = ".join(group) for group in groups)
     error = f"error <= {100 * bound:.2g} %" if bound else "error 0"

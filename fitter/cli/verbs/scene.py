@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fitter.cli import reading
 from fitter.cli.screen import Screen, number
-from fitter.cli.values import duration, output_file, output_folder, share
+from fitter.cli.values import duration, grid, output_file, output_folder, share
 from fitter.cli.verb import Outcome, Verb
 from fitter.errors import SpecError
 
@@ -41,6 +41,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", type=share, metavar="E", help="of the plan, as 1%% (default: the scene's)"
     )
+    parser.add_argument(
+        "--tiles", type=grid, default=(1, 1), metavar="CxR",
+        help="of the plan: columns and rows of tiles, as 8x6; up to three programs are made for them",
+    )  # fmt: skip
     parser.add_argument("--plan", action="store_true", help="render: plan first, and leave out what it says")
     parser.add_argument(
         "--layers", action="store_true", help="render: one layer in the OpenEXR file for each effect"
@@ -111,7 +115,9 @@ def _render(given: argparse.Namespace, screen: Screen) -> Outcome:
 
 
 def _of_plan(given: argparse.Namespace) -> dict[str, Any]:
-    return {"tolerance": given.tolerance, "seed": given.seed, "precision": given.precision}
+    return {
+        "tolerance": given.tolerance, "seed": given.seed, "precision": given.precision, "tiles": given.tiles,
+    }  # fmt: skip
 
 
 def _limits(given: argparse.Namespace) -> dict[str, Any]:
@@ -150,6 +156,7 @@ def show_plan(document: Mapping[str, Any], screen: Screen) -> None:
         for one in document["decisions"]
     ]
     screen.table(("effect", "of", "", "", "why"), rows)
+    _show_programs(document["programs"], screen)
     operations = document["operations"]
     bound, estimated, tolerance = (100 * document[name] for name in ("bound", "estimated", "tolerance"))
     more = f" as proved, and {estimated:.2g} % as estimated" if estimated else ""
@@ -161,6 +168,21 @@ def show_plan(document: Mapping[str, Any], screen: Screen) -> None:
         f"{operations['planned']:,.0f} operations a sample of a pixel for {operations['all']:,.0f}: "
         f"{operations['saved']:.3g} times fewer"
     )
+
+
+def _show_programs(programs: Sequence[Mapping[str, Any]], screen: Screen) -> None:
+    """What each tile's program leaves out, where there are several."""
+    total = sum(one["pixels"] for one in programs)
+    rows = [
+        [
+            str(len(one["tiles"])), f"{100 * one['pixels'] / total:.0f} %",
+            ", ".join(f"{d['effect']} of {d['subject']}" for d in one["decisions"] if d["off"]) or "-",
+            f"{one['operations']['planned']:,.0f}",
+        ]
+        for one in programs
+    ]  # fmt: skip
+    if rows:
+        screen.table(("tiles", "of the picture", "left out there", "operations"), rows)
 
 
 def _compare(given: argparse.Namespace, screen: Screen) -> Outcome:
