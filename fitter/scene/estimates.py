@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 #: Points of the picture that are tried, rays that may be spent to find them, and how sure the
 #: share of points is that is told.
 _POINTS, _RAYS, CONFIDENCE = 1024, 1 << 16, 0.99
+#: Of fewer points too little follows.
+_FEWEST = 200
 #: Points each way and panels of a lamp that what stands for it is compared with, and by which materials are.
 _FINE, _COARSE = (2, 8), (2, 2)
 #: Of the error that is left at most this share may be estimated: more than what was met may be elsewhere.
@@ -101,7 +103,7 @@ class Probe:
             found += len(shown)
             if found == wanted:
                 break
-        if not found:
+        if found < _FEWEST:
             return None, 0
         *joined, self.pixel = (np.concatenate(some) for some in zip(*parts, strict=True))
         self.places = joined[0], joined[2].astype(np.float64)

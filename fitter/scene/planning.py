@@ -25,11 +25,16 @@ FLOOR = 0.01
 @dataclass(frozen=True)
 class Plan:
     """The programs that a picture is rendered with, one for each of its regions, and the document that
-    explains them. settings : those that hold for the whole picture."""
+    explains them. whole : that which holds for all of it."""
 
-    settings: Settings
+    whole: Program
     programs: tuple[Program, ...]
     document: Mapping[str, Any]
+
+    @property
+    def settings(self) -> Settings:
+        """Those that hold for the whole picture."""
+        return self.whole.settings
 
 
 def plan(
@@ -78,10 +83,10 @@ def plan(
         name: float(np.average([each[name] for each in counted], weights=pixels))
         for name in ("all", "planned")
     }
+    worst = max(programs, key=lambda one: (1.0 + one.bound) * (1.0 + one.estimated))
     document = {
-        "kind": KIND, "tolerance": tolerance, "bound": max(one.bound for one in programs),
-        "estimated": max(one.estimated for one in programs), "reference": floor, "floor": FLOOR, "seed": seed,
-        "precision": precision, "decisions": decisions,
+        "kind": KIND, "tolerance": tolerance, "bound": worst.bound, "estimated": worst.estimated,
+        "reference": floor, "floor": FLOOR, "seed": seed, "precision": precision, "decisions": decisions,
         "operations": {**means, "saved": means["all"] / max(means["planned"], 1.0)},
         "programs": [
             {
@@ -95,7 +100,7 @@ def plan(
             "counting": time.perf_counter() - planned,
         },
     }  # fmt: skip
-    return Plan(whole.settings, programs, document)
+    return Plan(whole, programs, document)
 
 
 def prepass(scene: Scene, seed: int, rows: int) -> float:

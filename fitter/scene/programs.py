@@ -21,14 +21,20 @@ from fitter.scene.surfaces import Surfaces
 
 @dataclass(frozen=True)
 class Program:
-    """The settings that a region is rendered with, what decided them, and the error: what is bounded of it,
-    and what is estimated."""
+    """What a region is rendered with, what decided that, and the error: what is bounded of it, and what is
+    estimated. apart : the settings with all channels, of which ``merged`` are computed."""
 
     region: Region
-    settings: Settings
+    apart: Settings
+    merged: Merged | None
     decisions: Sequence[dict[str, Any]]
     bound: float
     estimated: float
+
+    @property
+    def settings(self) -> Settings:
+        """Those that it is rendered with."""
+        return self.apart if self.merged is None else self.apart.merge(self.merged)
 
     def operations(self, scene: Scene) -> dict[str, float]:
         """Operations a sample of a pixel of the region, with everything on and by the program."""
@@ -116,8 +122,7 @@ class Planner:
             worst = max(worst, bound)
         self._spend(worst)
         settings = replace(settings, points=points, direct=tuple(direct))
-        settings = settings if merged is None else settings.merge(merged)
-        return Program(self.region, settings, decisions, self.bounded, self.estimated)
+        return Program(self.region, settings, merged, decisions, self.bounded, self.estimated)
 
     @property
     def left(self) -> float:

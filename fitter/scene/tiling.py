@@ -116,7 +116,7 @@ def _blank(whole: Program, region: Region) -> Program:
     """The program of a region that shows no shape."""
     sentence = f"no shape is seen in {len(region.chosen)} of {len(region.tiles)} tiles: nothing to compute"
     decisions = [wording.decision("shapes", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence)]
-    return Program(region, replace(whole.settings, blank=True), decisions, 0.0, 0.0)
+    return Program(region, replace(whole.apart, blank=True), whole.merged, decisions, 0.0, 0.0)
 
 
 def _regions(
