@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from fitter.scene import kernels, lights, wording
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Points, Settings
+from fitter.scene.integrate import Integrator, Points
 from fitter.scene.kernels import Hit
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.regions import Region
+from fitter.scene.settings import Settings
 
 FloatArray = NDArray[np.float64]
 

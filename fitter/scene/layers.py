@@ -12,9 +12,9 @@ from fitter.progress import Progress, ignore
 from fitter.scene import effects
 from fitter.scene.assembly import Scene
 from fitter.scene.constants import constants_of
-from fitter.scene.integrate import Settings
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.rendering import Picture, Precision, render
+from fitter.scene.settings import Settings
 
 
 def settings_without(scene: Scene) -> Mapping[str, Settings]:

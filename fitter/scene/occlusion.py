@@ -41,7 +41,7 @@ def shown(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:
     away = surfaces.eye - point
     distance = np.linalg.norm(away, axis=1)
     towards = away / distance[:, None]
-    return surfaces.shows(point) & ~_blocked(surfaces, point, towards, distance, boxes.primitive)
+    return surfaces.view.shows(point) & ~_blocked(surfaces, point, towards, distance, boxes.primitive)
 
 
 def shaded(surfaces: Surfaces, boxes: Boxes, angles: Angles) -> BoolArray:

@@ -17,10 +17,11 @@ from jax import Array
 
 from fitter.scene import kernels
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Points, Settings
+from fitter.scene.integrate import Integrator, Points
 from fitter.scene.kernels import Hit, Shapes
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.regions import Region
+from fitter.scene.settings import Settings
 
 #: Rays that are followed to see which kernels are called.
 _RAYS = 1024

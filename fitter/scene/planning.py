@@ -12,10 +12,11 @@ import numpy as np
 from fitter.progress import Progress, ignore
 from fitter.scene import estimates, tiling
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.programs import Planner, Program, Task
 from fitter.scene.regions import Region, Tiles
 from fitter.scene.rendering import BATCH, Precision, padded, reference
+from fitter.scene.settings import Settings
 
 KIND = "brdf-fitter/plan"
 #: Share of F below which radiance counts as that much.

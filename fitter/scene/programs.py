@@ -11,11 +11,11 @@ from fitter.scene import channels, estimates, lighting, occlusion, operations
 from fitter.scene.assembly import Scene
 from fitter.scene.channels import Merged
 from fitter.scene.criteria import Criteria
-from fitter.scene.integrate import Settings
 from fitter.scene.lighting import Proof
 from fitter.scene.materials import Material
 from fitter.scene.regions import Region
 from fitter.scene.selection import select
+from fitter.scene.settings import Settings
 from fitter.scene.surfaces import Surfaces
 
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from fitter.errors import SpecError
 from fitter.progress import Progress, ignore
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.materials import TableMaterial
 from fitter.scene.regions import Region, Tiles
+from fitter.scene.settings import Settings
 
 if TYPE_CHECKING:
     from fitter.scene.planning import Plan

@@ -8,12 +8,12 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from fitter.scene import kernels
 from fitter.scene.assembly import Scene
 from fitter.scene.boxes import Angles, Boxes, FloatArray, IntArray, Vector, taken
 from fitter.scene.intervals import Interval, about, cosine, increasing, sine, unit, unit_component
 from fitter.scene.lights import Lamp
 from fitter.scene.regions import Region, Tiles
+from fitter.scene.views import View
 
 #: By how much coordinates that were turned into a primitive's frame are widened, relative to the scene's
 #: size.
@@ -74,20 +74,7 @@ class Surfaces:
         self.high = np.concatenate([ends, g.half, high])
         self.material = scene.of_shape[g.shape]
         self.eye = eye
-        region = region or Region.whole(Tiles.of(scene.spec.camera, 1, 1))
-        # Of all tiles only the picture's own edges count.
-        everything = len(region.chosen) == len(region.tiles)
-        self.tiles = (region.outer if everything else region).mask
-        self.planes = self._edges((region.outer if everything else region).tiles)
-
-    def _edges(self, tiles: Tiles) -> tuple[FloatArray, FloatArray]:
-        """Normals of planes through the eye and the edges of columns and of rows, to the right and down."""
-        basis = kernels.camera_basis(self.scene.spec.camera)
-        found = [
-            np.stack([along / (along @ along) - line * basis[2] for line in lines])
-            for along, lines in zip(basis, tiles.lines, strict=False)
-        ]
-        return found[0], found[1]
+        self.view = View(scene.spec.camera, region, self.size)
 
     def coordinates(self, primitive: IntArray, point: FloatArray) -> tuple[IntArray, FloatArray]:
         """Points (P, 3) of primitives (P,) as coordinates (P, 2)."""
@@ -211,7 +198,7 @@ class Surfaces:
             away = Interval.of(self.distance[np.minimum(boxes.primitive, self.spheres - 1)])
             vz = _seen_from(away, Interval.of(self.radius[boxes.primitive]), a).where(on_sphere, vz)
         world = self._world(frame, origin, x)
-        return _Spots(boxes, x, v, vz, around, axis, world, self._in_picture(world))
+        return _Spots(boxes, x, v, vz, around, axis, world, self.view.may_show(world))
 
     def _sky(self, boxes: Boxes) -> NDArray[np.bool_]:
         kinds = np.array([one.kind == "environment" for one in self.lamps])
@@ -230,10 +217,6 @@ class Surfaces:
         ]
         return found[0], found[1], found[2]
 
-    def _in_picture(self, world: Vector) -> NDArray[np.bool_]:
-        """(B,) whether boxes may reach into a tile of the region."""
-        return np.asarray((self._reached(world, self.planes) & self.tiles[..., None]).any(axis=(0, 1)))
-
     def reached(self, tiles: Tiles, rounds: int = 6, most: int = 8_000) -> NDArray[np.bool_]:
         """(rows, columns) the tiles that a shape may reach into, whichever side of it."""
         first, *others = (self.start(m, (0,)) for m in np.unique(self.material).tolist())
@@ -244,30 +227,7 @@ class Surfaces:
             if 2 * len(boxes) > most:
                 break
             boxes = self.halves(boxes)
-        return np.asarray(self._reached(self.angles(boxes).point, self._edges(tiles)).any(axis=2))
-
-    def _reached(self, world: Vector, planes: tuple[FloatArray, FloatArray]) -> NDArray[np.bool_]:
-        """(rows, columns, B) whether boxes may reach into tiles."""
-        away = [world[k] - self.eye[k] for k in range(3)]
-        wide = 1e-9 * self.size
-        reach: list[NDArray[np.bool_]] = []
-        for normals in planes:
-            heights = [sum((away[k] * n[k] for k in range(3)), Interval.of(0.0)) for n in normals]
-            right = np.stack([h.hi >= -wide for h in heights[:-1]])
-            left = np.stack([h.lo <= wide for h in heights[1:]])
-            reach.append(right & left)
-        columns, rows = reach
-        return rows[:, None] & columns[None]
-
-    def shows(self, point: FloatArray) -> NDArray[np.bool_]:
-        """(P,) whether points (P, 3) lie in a tile of the region."""
-        away = point - self.eye
-        inside: list[NDArray[np.bool_]] = []
-        for normals in self.planes:
-            heights = away @ normals.T
-            inside.append((heights[:, :-1] >= 0) & (heights[:, 1:] <= 0))
-        columns, rows = inside
-        return np.any(rows[:, :, None] & columns[:, None] & self.tiles, axis=(1, 2))
+        return self.view.reached(self.angles(boxes).point, tiles)
 
     def _light(
         self, boxes: Boxes, frame: FloatArray, origin: FloatArray, x: Vector

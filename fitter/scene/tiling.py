@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from fitter.scene import effects, estimates, operations, wording
 from fitter.scene.constants import constants_of
 from fitter.scene.estimates import Probe
-from fitter.scene.integrate import Settings
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.programs import Planner, Program
 from fitter.scene.regions import Region
 from fitter.scene.search import Decision
+from fitter.scene.settings import Settings
 
 FloatArray = NDArray[np.float64]
 

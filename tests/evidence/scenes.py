@@ -17,11 +17,12 @@ import numpy as np
 from fitter.scene import estimates, plan, scene
 from fitter.scene.assembly import Scene
 from fitter.scene.estimates import Probe
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.materials import ModelMaterial
 from fitter.scene.planning import Plan
 from fitter.scene.programs import Program
 from fitter.scene.rendering import padded
+from fitter.scene.settings import Settings
 from tests.evidence.study import Outcome, Study
 from tests.evidence.zoom import Zoom
 

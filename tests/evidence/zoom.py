@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from fitter.scene import kernels, lights
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.materials import ModelMaterial
+from fitter.scene.settings import Settings
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from fitter.scene import plan, render, scene
 from fitter.scene.assembly import Scene
 from fitter.scene.channels import merged
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
+from fitter.scene.settings import Settings
 from fitter.table import Table
 from tests.scene.scenes import document
 

@@ -14,9 +14,9 @@ from fitter.fitting import fit
 from fitter.models import ReflectanceModel, create
 from fitter.scene import plan, render, scene
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Settings
 from fitter.scene.lights import points
 from fitter.scene.materials import ModelMaterial
+from fitter.scene.settings import Settings
 from fitter.scene.spec import Material
 from fitter.table import Table
 from tests.scene.scenes import assert_standard_normal, document, z_scores

@@ -15,9 +15,10 @@ from fitter.models.pair import Pair
 from fitter.scene import effects, operations, plan, render, scene
 from fitter.scene.assembly import Scene
 from fitter.scene.boxes import Boxes
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.layers import layers
 from fitter.scene.materials import ModelMaterial
+from fitter.scene.settings import Settings
 from fitter.scene.shading import value
 from fitter.scene.surfaces import Surfaces
 from fitter.spec import model_spec

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from fitter.scene import plan, render, scene
 from fitter.scene.assembly import Scene
-from fitter.scene.integrate import Integrator, Settings
+from fitter.scene.integrate import Integrator
 from fitter.scene.regions import Region, Tiles
+from fitter.scene.settings import Settings
 from fitter.scene.surfaces import Surfaces
 from tests.scene.scenes import document
 
@@ -55,7 +56,7 @@ def test_boxes_reach_the_tiles_that_points_are_in() -> None:
     shown = np.flatnonzero(np.asarray(hit.primitive) >= 0)
     point, tile = np.asarray(hit.point)[shown], tiles.of_pixel(shown)
     for t in range(len(tiles)):
-        inside = Surfaces(found, Region(tiles, frozenset({t}))).shows(point)
+        inside = Surfaces(found, Region(tiles, frozenset({t}))).view.shows(point)
         assert (inside == (tile == t)).mean() > 0.999
     reached = Surfaces(found).reached(tiles).reshape(-1)
     assert reached[np.unique(tile)].all()
