@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -164,29 +162,28 @@ def doubtful(surfaces: Surfaces, boxes: Boxes, x: Vector, k: int) -> BoolArray:
                 for c in range(3)
             ]
         d = (y[0] - x[0], y[1] - x[1], y[2] - x[2])
+    # Shares of the way (rows), more of them near the surface, where other things are near in proportion.
+    edges = ((np.arange(_PIECES + 1) / _PIECES) ** 2)[:, None]
+    share = Interval(edges[:-1], edges[1:])
+    p = [x[c] + share * d[c] for c in range(3)]
     found = np.zeros(len(boxes), bool)
-    # Shares of the way, more of them near the surface, where other things are near in proportion.
-    edges = (np.arange(_PIECES + 1) / _PIECES) ** 2
     g = surfaces.scene.geometry
-    for a, b in itertools.pairwise(edges.tolist()):
-        share = Interval(np.array(a), np.array(b))
-        p = [x[c] + share * d[c] for c in range(3)]
-        for j in range(len(surfaces.radius)):
-            other = boxes.primitive != j
-            if j < surfaces.spheres:
-                squared = sum(((p[c] - g.center[j, c]).squared() for c in range(3)), Interval.of(0.0))
-                found |= other & (squared.lo <= g.radius[j] ** 2)
-                continue
-            frame, low, high = surfaces.frame[j], surfaces.low[j], surfaces.high[j]
-            local = [
-                sum(((p[c] - surfaces.origin[j, c]) * float(frame[i, c]) for c in range(3)), Interval.of(0.0))
-                for i in range(3)
-            ]
-            wide = 1e-9 * surfaces.size
-            touches = (local[2].lo <= wide) & (local[2].hi >= -wide)
-            for i in (0, 1):
-                touches &= (local[i].lo <= high[i] + wide) & (local[i].hi >= low[i] - wide)
-            found |= other & touches
+    for j in range(len(surfaces.radius)):
+        other = boxes.primitive != j
+        if j < surfaces.spheres:
+            squared = sum(((p[c] - g.center[j, c]).squared() for c in range(3)), Interval.of(0.0))
+            found |= other & (squared.lo <= g.radius[j] ** 2).any(axis=0)
+            continue
+        frame, low, high = surfaces.frame[j], surfaces.low[j], surfaces.high[j]
+        local = [
+            sum(((p[c] - surfaces.origin[j, c]) * float(frame[i, c]) for c in range(3)), Interval.of(0.0))
+            for i in range(3)
+        ]
+        wide = 1e-9 * surfaces.size
+        touches = (local[2].lo <= wide) & (local[2].hi >= -wide)
+        for i in (0, 1):
+            touches &= (local[i].lo <= high[i] + wide) & (local[i].hi >= low[i] - wide)
+        found |= other & touches.any(axis=0)
     return found
 
 
