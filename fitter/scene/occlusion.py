@@ -110,13 +110,13 @@ def clear(surfaces: Surfaces, k: int) -> tuple[bool, int, Boxes]:
         return False, 0, none
     used = len(boxes)
     while len(boxes):
-        boxes = boxes.take(_lit(surfaces, boxes))
-        boxes = boxes.take(doubtful(surfaces, boxes, surfaces.angles(boxes).point, k))
+        angles = surfaces.angles(boxes)
+        boxes = boxes.take(_lit(surfaces, angles) & doubtful(surfaces, boxes, angles.point, k))
         if not len(boxes):
             return True, used, none
         middle = boxes.middle()
         angles = surfaces.angles(middle)
-        dark = shaded(surfaces, middle, angles) & angles.seen
+        dark = shaded(surfaces, middle, angles) & _lit(surfaces, angles)
         if used > _BUDGET or dark.sum() >= _WITNESSES:
             return False, used, middle.take(dark)
         boxes = surfaces.halves(boxes)
@@ -139,8 +139,9 @@ def _whole(surfaces: Surfaces, k: int) -> Boxes:
     return found.join(Boxes(back.primitive, back.lamp, low, high))
 
 
-def _lit(surfaces: Surfaces, boxes: Boxes) -> BoolArray:
-    return surfaces.angles(boxes).lz.hi > 0
+def _lit(surfaces: Surfaces, angles: Angles) -> BoolArray:
+    """Where shadows count: without reflections only where the camera looks."""
+    return (angles.lz.hi > 0) & (angles.seen | (surfaces.scene.spec.bounces > 0))
 
 
 def doubtful(surfaces: Surfaces, boxes: Boxes, x: Vector, k: int) -> BoolArray:

@@ -254,6 +254,11 @@ class _Planner:
             sentence = (
                 f"shadows of light {k} ({kind}) off: nothing can stand between it and any surface, error 0"
             )
+        elif error <= self.tolerance and len(witness):
+            sentence = f"shadows of light {k} ({kind}) kept: what they change is not bounded"
+            told = {**wording.kept(str(k), "shadows", ""), "found": error, "boxes": boxes}
+            decisions.append({**told, "sentence": sentence})
+            return True
         else:
             found = Decision("needed" if error > self.tolerance else "open", float("inf"), error, boxes)
             sentence = f"shadows of light {k} ({kind}) kept: {wording.reason(found)}"
