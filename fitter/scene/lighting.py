@@ -71,11 +71,15 @@ def shadow(criteria: Criteria, k: int, proof: Proof, tolerance: float) -> tuple[
     if clear:
         found = Decision("bounded", 0.0, 0.0, boxes)
         sentence = f"{name} off: nothing can stand between it and any surface, error 0"
-    else:
-        error = criteria.hidden(k, witness, tolerance)
-        found = Decision("needed" if error > tolerance else "open", float("inf"), error, boxes)
-        sentence = f"{name} kept: {wording.reason(found)}"
-    return not clear, wording.decision("shadows", str(k), found, clear, sentence)
+        return False, wording.decision("shadows", str(k), found, True, sentence)
+    error = criteria.hidden(k, witness, tolerance)
+    if error <= tolerance and len(witness):
+        sentence = f"{name} kept: what they change is not bounded"
+        told = {**wording.kept(str(k), "shadows", ""), "found": error, "boxes": boxes}
+        return True, {**told, "sentence": sentence}
+    found = Decision("needed" if error > tolerance else "open", float("inf"), error, boxes)
+    sentence = f"{name} kept: {wording.reason(found)}"
+    return True, wording.decision("shadows", str(k), found, False, sentence)
 
 
 def bounces(criteria: Criteria) -> tuple[int, list[dict[str, Any]]]:

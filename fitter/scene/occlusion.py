@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -112,13 +110,13 @@ def clear(surfaces: Surfaces, k: int) -> tuple[bool, int, Boxes]:
         return False, 0, none
     used = len(boxes)
     while len(boxes):
-        boxes = boxes.take(_lit(surfaces, boxes))
-        boxes = boxes.take(doubtful(surfaces, boxes, surfaces.angles(boxes).point, k))
+        angles = surfaces.angles(boxes)
+        boxes = boxes.take(_lit(surfaces, angles) & doubtful(surfaces, boxes, angles.point, k))
         if not len(boxes):
             return True, used, none
         middle = boxes.middle()
         angles = surfaces.angles(middle)
-        dark = shaded(surfaces, middle, angles) & angles.seen
+        dark = shaded(surfaces, middle, angles) & _lit(surfaces, angles)
         if used > _BUDGET or dark.sum() >= _WITNESSES:
             return False, used, middle.take(dark)
         boxes = surfaces.halves(boxes)
@@ -141,8 +139,9 @@ def _whole(surfaces: Surfaces, k: int) -> Boxes:
     return found.join(Boxes(back.primitive, back.lamp, low, high))
 
 
-def _lit(surfaces: Surfaces, boxes: Boxes) -> BoolArray:
-    return surfaces.angles(boxes).lz.hi > 0
+def _lit(surfaces: Surfaces, angles: Angles) -> BoolArray:
+    """Where shadows count: without reflections only where the camera looks."""
+    return (angles.lz.hi > 0) & (angles.seen | (surfaces.scene.spec.bounces > 0))
 
 
 def doubtful(surfaces: Surfaces, boxes: Boxes, x: Vector, k: int) -> BoolArray:
@@ -164,29 +163,28 @@ def doubtful(surfaces: Surfaces, boxes: Boxes, x: Vector, k: int) -> BoolArray:
                 for c in range(3)
             ]
         d = (y[0] - x[0], y[1] - x[1], y[2] - x[2])
+    # Shares of the way (rows), more of them near the surface, where other things are near in proportion.
+    edges = ((np.arange(_PIECES + 1) / _PIECES) ** 2)[:, None]
+    share = Interval(edges[:-1], edges[1:])
+    p = [x[c] + share * d[c] for c in range(3)]
     found = np.zeros(len(boxes), bool)
-    # Shares of the way, more of them near the surface, where other things are near in proportion.
-    edges = (np.arange(_PIECES + 1) / _PIECES) ** 2
     g = surfaces.scene.geometry
-    for a, b in itertools.pairwise(edges.tolist()):
-        share = Interval(np.array(a), np.array(b))
-        p = [x[c] + share * d[c] for c in range(3)]
-        for j in range(len(surfaces.radius)):
-            other = boxes.primitive != j
-            if j < surfaces.spheres:
-                squared = sum(((p[c] - g.center[j, c]).squared() for c in range(3)), Interval.of(0.0))
-                found |= other & (squared.lo <= g.radius[j] ** 2)
-                continue
-            frame, low, high = surfaces.frame[j], surfaces.low[j], surfaces.high[j]
-            local = [
-                sum(((p[c] - surfaces.origin[j, c]) * float(frame[i, c]) for c in range(3)), Interval.of(0.0))
-                for i in range(3)
-            ]
-            wide = 1e-9 * surfaces.size
-            touches = (local[2].lo <= wide) & (local[2].hi >= -wide)
-            for i in (0, 1):
-                touches &= (local[i].lo <= high[i] + wide) & (local[i].hi >= low[i] - wide)
-            found |= other & touches
+    for j in range(len(surfaces.radius)):
+        other = boxes.primitive != j
+        if j < surfaces.spheres:
+            squared = sum(((p[c] - g.center[j, c]).squared() for c in range(3)), Interval.of(0.0))
+            found |= other & (squared.lo <= g.radius[j] ** 2).any(axis=0)
+            continue
+        frame, low, high = surfaces.frame[j], surfaces.low[j], surfaces.high[j]
+        local = [
+            sum(((p[c] - surfaces.origin[j, c]) * float(frame[i, c]) for c in range(3)), Interval.of(0.0))
+            for i in range(3)
+        ]
+        wide = 1e-9 * surfaces.size
+        touches = (local[2].lo <= wide) & (local[2].hi >= -wide)
+        for i in (0, 1):
+            touches &= (local[i].lo <= high[i] + wide) & (local[i].hi >= low[i] - wide)
+        found |= other & touches.any(axis=0)
     return found
 
 
