@@ -10,6 +10,9 @@ import numpy as np
 from fitter.scene.effects import WORDS
 from fitter.scene.search import Decision
 
+#: Errors beyond this are those of a limit.
+_LIMIT = 1e9
+
 
 def judged(
     name: str, effect: str, found: Decision, gone: bool, saved: float, full: float, degrees: float,
@@ -34,9 +37,10 @@ def judged(
 
 
 def reason(found: Decision) -> str:
+    if found.state == "needed" and found.found > _LIMIT:
+        return "without it nothing limits the error towards a rim"
     if found.state == "needed":
-        much = f"{100 * found.found:.3g} %" if found.found < 1e3 else "more than 100,000 %"
-        return f"without it a point is {much} off"
+        return f"without it a point is {100 * found.found:.3g} % off"
     if found.state == "bounded":
         return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
     bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
