@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from fitter.errors import SpecError
+from fitter.fitting.clock import running
 from fitter.progress import Progress, ignore
 from fitter.scene import estimates, tiling
 from fitter.scene.assembly import Scene
@@ -54,31 +55,34 @@ def plan(
     which takes the compilation of the scene's kernels in float64. tiles : columns and rows of tiles; those
     that need less may share up to two programs of their own, which are proved for themselves.
     """
-    began = time.perf_counter()
-    progress(0.0, "pre-pass")
-    camera = scene.spec.camera
-    rows = min(BATCH, padded(camera.width * camera.height))
-    floor = prepass(scene, seed, rows)
-    after = time.perf_counter()
-    tolerance, spent, decisions = tolerance or scene.spec.tolerance, 0.0, list[dict[str, Any]]()
-    if precision == "auto":
-        tried = estimates.precision(scene, floor * FLOOR, seed, rows)
-        single = tried.found <= estimates.SHARE * tolerance
-        decisions.append(estimates.of_precision(tried, single))
-        precision, spent = ("float32", tried.found) if single else ("float64", 0.0)
-    compared = time.perf_counter()
-    task = Task.of(scene, tolerance, floor * FLOOR, seed, rows, spent)
-    planner = Planner(task, Region.whole(Tiles.of(camera, *tiles)))
-    whole = planner.run(lambda done, what: progress(0.1 + 0.5 * done, what))
-    decisions += whole.decisions
-    progress(0.7, "tiles")
-    programs = tiling.programs(planner, whole)
-    rest = whole.region.rest([one.region for one in programs])
-    programs = [replace(whole, region=rest, decisions=decisions), *programs]
-    programs = tuple(one for one in programs if one.region.chosen)
-    planned = time.perf_counter()
-    progress(0.9, "counting operations")
-    counted = [one.operations(scene) for one in programs]
+    tolerance = scene.spec.tolerance if tolerance is None else tolerance
+    _check(tolerance, tiles)
+    with running() as clock:
+        progress(0.0, "pre-pass")
+        camera = scene.spec.camera
+        rows = min(BATCH, padded(camera.width * camera.height))
+        floor = prepass(scene, seed, rows)
+        clock.lap("prepass")
+        spent, decisions = 0.0, list[dict[str, Any]]()
+        if precision == "auto":
+            tried = estimates.precision(scene, floor * FLOOR, seed, rows)
+            single = tried.found <= estimates.SHARE * tolerance
+            decisions.append(estimates.of_precision(tried, single))
+            precision, spent = ("float32", tried.found) if single else ("float64", 0.0)
+            clock.lap("precision")
+        task = Task.of(scene, tolerance, floor * FLOOR, seed, rows, spent)
+        planner = Planner(task, Region.whole(Tiles.of(camera, *tiles)))
+        whole = planner.run(lambda done, what: progress(0.1 + 0.5 * done, what))
+        decisions += whole.decisions
+        progress(0.7, "tiles")
+        programs = tiling.programs(planner, whole)
+        rest = whole.region.rest([one.region for one in programs])
+        programs = [replace(whole, region=rest, decisions=decisions), *programs]
+        programs = tuple(one for one in programs if one.region.chosen)
+        clock.lap("planning")
+        progress(0.9, "counting operations")
+        counted = [one.operations(scene) for one in programs]
+        clock.lap("counting")
     pixels = [len(one.region.pixels) for one in programs]
     means = {
         name: float(np.average([each[name] for each in counted], weights=pixels))
@@ -96,12 +100,22 @@ def plan(
             }
             for one, each in zip(programs, counted, strict=True)
         ] if len(programs) > 1 else [],
-        "seconds": {
-            "prepass": after - began, "precision": compared - after, "planning": planned - compared,
-            "counting": time.perf_counter() - planned,
-        },
+        "seconds": {**clock.phases, "compile": sum(clock.compiled.values())},
     }  # fmt: skip
     return Plan(whole, programs, document)
+
+
+def _check(tolerance: float, tiles: tuple[int, int]) -> None:
+    if not 0 < tolerance < 1:
+        raise SpecError(
+            f"the tolerance is {tolerance:g}", code="bad-limit", parameter="tolerance",
+            remedy="give a share between 0 and 1, as 0.01 or 1%",
+        )  # fmt: skip
+    if min(tiles) < 1:
+        raise SpecError(
+            f"there are {tiles[0]} x {tiles[1]} tiles", code="bad-limit", parameter="tiles",
+            remedy="give at least one column and one row",
+        )  # fmt: skip
 
 
 def prepass(scene: Scene, seed: int, rows: int) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitter.errors import SpecError
+from fitter.fitting.compiling import metering
 from fitter.progress import Progress, ignore
 from fitter.scene.assembly import Scene
 from fitter.scene.integrate import Integrator
@@ -44,6 +46,7 @@ class Picture:
     precision: Precision
     stopped: str
     history: list[tuple[int, float, float]]
+    compile_seconds: float = 0.0
     notes: list[str] = field(default_factory=list[str])
     tables: dict[str, Any] = field(default_factory=dict[str, Any])
     plan: dict[str, Any] | None = None
@@ -64,7 +67,8 @@ class Picture:
         height, width, _ = self.radiance.shape
         return {
             "kind": "brdf-fitter/picture", "width": width, "height": height, "channels": list(self.channels),
-            "samples": self.samples, "seconds": self.seconds, "seed": self.seed, "precision": self.precision,
+            "samples": self.samples, "seconds": self.seconds,
+            "compile_seconds": self.compile_seconds, "seed": self.seed, "precision": self.precision,
             "stopped": self.stopped, "error": self.error, "reference": self.reference,
             "mean": self.radiance.mean(axis=(0, 1)).tolist(),
             "history": [
@@ -114,12 +118,25 @@ def render(
             )
     if all(limit is None for limit in limits.values()):
         samples = 16
-    began = time.perf_counter()
     whole = Region.whole(Tiles.of(scene.spec.camera, 1, 1))
     chosen = [(settings or Settings.everything(scene), whole)]
     if settings is None and by is not None:
         chosen = [(one.settings, one.region) for one in by.programs]
     integrators = [(Integrator(scene, some, np.dtype(precision)), region.pixels) for some, region in chosen]
+    began = time.perf_counter()
+    with metering() as meter:
+        picture = _rendered(scene, integrators, samples, seconds, target_error, seed, progress)
+    picture.compile_seconds = meter.between(began, time.perf_counter())
+    picture.plan = None if by is None else dict(by.document)
+    return picture
+
+
+def _rendered(
+    scene: Scene, integrators: Sequence[tuple[Integrator, NDArray[np.intp]]], samples: int | None,
+    seconds: float | None, target_error: float | None, seed: int, progress: Progress,
+) -> Picture:  # fmt: skip
+    """The picture of integrators, each of its own pixels."""
+    began = time.perf_counter()
     camera, count = scene.spec.camera, len(scene.spec.channels)
     total = camera.width * camera.height
     mean, spread, hits = np.zeros((total, count)), np.zeros((total, count)), np.zeros(total)
@@ -128,10 +145,11 @@ def render(
     shape = camera.height, camera.width
     while not stopped:
         for k, (integrator, pixels) in enumerate(integrators):
-            for start in range(0, len(pixels), BATCH):
-                rows = pixels[start : start + BATCH]
+            size = min(BATCH, padded(len(pixels)))
+            for start in range(0, len(pixels), size):
+                rows = pixels[start : start + size]
                 # What fills a batch up repeats its last pixel, and is thrown away.
-                filled = np.pad(rows, (0, min(BATCH, padded(total)) - len(rows)), mode="edge")
+                filled = np.pad(rows, (0, size - len(rows)), mode="edge")
                 found, met = integrator.batch(filled, (seed, done, start + k * total))
                 one = found[: len(rows)].astype(np.float64)
                 away = one - mean[rows]
@@ -165,9 +183,13 @@ def render(
     }
     return Picture(
         mean.reshape(*shape, count), u.reshape(*shape, count), (hits / done).reshape(shape),
-        scene.spec.channels, done, spent, seed, precision, stopped, history, _notes(scene), tables,
-        None if by is None else dict(by.document),
+        scene.spec.channels, done, spent, seed, _name(integrators[0][0].dtype), stopped, history,
+        notes=_notes(scene), tables=tables,
     )  # fmt: skip
+
+
+def _name(dtype: np.dtype[np.floating]) -> Precision:
+    return "float32" if dtype == np.float32 else "float64"
 
 
 def _planned(by: Plan | None) -> Precision:

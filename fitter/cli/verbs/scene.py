@@ -168,6 +168,11 @@ def show_plan(document: Mapping[str, Any], screen: Screen) -> None:
         f"{operations['planned']:,.0f} operations a sample of a pixel for {operations['all']:,.0f}: "
         f"{operations['saved']:.3g} times fewer"
     )
+    seconds = document["seconds"]
+    screen.line(
+        f"planned in {seconds['planning']:.2g} s, beside {sum(seconds.values()) - seconds['planning']:.2g} s "
+        f"of pre-pass and counting, of which {seconds['compile']:.2g} s of compiling"
+    )
 
 
 def _show_programs(programs: Sequence[Mapping[str, Any]], screen: Screen) -> None:
@@ -220,7 +225,8 @@ def show_picture(picture: Picture, screen: Screen) -> None:
     screen.fields(
         {
             "picture": f"{width} x {height}, {', '.join(picture.channels)}, {picture.precision}",
-            "samples": f"{picture.samples} a pixel in {picture.seconds:.1f} s (by: {picture.stopped})",
+            "samples": f"{picture.samples} a pixel in {picture.seconds:.1f} s (by: {picture.stopped}), "
+            f"{picture.compile_seconds:.1f} s of them compiling",
             "error": f"{number(picture.error, 3)} (rms of the standard errors over F)",
             "F": f"{number(picture.reference, 4)} W/(m2 sr), mean of the clipped radiance of shapes",
         }
