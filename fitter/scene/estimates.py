@@ -32,6 +32,8 @@ _FEWEST = 200
 _FINE, _COARSE = (2, 8), (2, 2)
 #: Of the error that is left at most this share may be estimated: more than what was met may be elsewhere.
 SHARE = 0.5
+#: Standard errors that two estimates of the light may differ by.
+_AGREED = 5.0
 #: Points each way that may stand for an area lamp.
 LADDER = (1, 2)
 _REPLACED = {1: "its centre", 2: "four points"}
@@ -51,8 +53,8 @@ class Estimate:
 
     def words(self) -> str:
         return (
-            f"at {self.points:,} random points the largest error is {100 * self.found:.2g} %, and with "
-            f"{CONFIDENCE:.0%} confidence at most {100 * self.share:.2g} % of all points are further off"
+            f"at {self.points:,} random points the largest error is {wording.percent(self.found)}, and with "
+            f"{CONFIDENCE:.0%} confidence at most {wording.percent(self.share)} of all points are further off"
         )
 
     def decision(self, effect: str, subject: str, gone: bool, sentence: str, **more: Any) -> dict[str, Any]:
@@ -83,7 +85,8 @@ class Probe:
         self.pixel = np.zeros(0, np.intp)
         self.places = np.zeros(0, np.intp), np.zeros((0, 3))
         self.integrator = Integrator(scene, settings, np.dtype(np.float32))
-        self.at, self.count = self._points(region, np.random.default_rng([seed, 2**31 + 1]))
+        self.rng = np.random.default_rng([seed, 2**31 + 1])
+        self.at, self.count = self._points(region, self.rng)
         self.lamps = settings.lit(0)
         self.materials = settings.direct
 
@@ -134,6 +137,15 @@ class Probe:
         return total
 
 
+    def agrees(self, k: int, light: FloatArray) -> bool:
+        """Whether light (P, C) of lamp k is in the mean what directions that the materials draw see of it: of
+        lobes so narrow that they fall between the lamp's points it is not."""
+        assert self.at is not None
+        drawn = np.asarray(self.integrator.drawn_light(k, self.at, self.rng), np.float64)
+        drawn = drawn[: self.count * (self.rows // self.count)].mean(axis=1)
+        return abs(drawn.mean() - light.mean()) <= _AGREED * drawn.std() / np.sqrt(len(drawn))
+
+
 def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, Any]], float]:
     """Of each lamp the points each way that stand for it (0: it is sampled), decisions, the joint error."""
     scene = probe.scene
@@ -150,6 +162,10 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
     probe.alone.update({k: _errors(light, whole, probe.floor) for k, light in exact.items()})
     chosen, decisions, error = list[int](none), list[dict[str, Any]](), 0.0
     for k in areas:
+        if not probe.agrees(k, exact[k]):
+            why = "sampled, as lobes are narrower than the distances of points on it"
+            decisions.append(wording.kept(f"light {k} (area)", "area light", why))
+            continue
         tried: list[Estimate] = []
         for each_way in LADDER:
             fewer = probe.light(k, probe.materials, each_way) - exact[k]
@@ -160,7 +176,7 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
                 break
         words = f"light {k} (area) " + (
             f"is {_REPLACED[chosen[k]]} where the camera looks" if chosen[k]
-            else f"sampled (from its centre alone {100 * tried[0].found:.2g} % off), four points would not do"
+            else f"sampled (from its centre alone {wording.percent(tried[0].found)} off), four points would not do"
         )  # fmt: skip
         one = tried[-1].decision("area light", str(k), bool(chosen[k]), words, points_each_way=chosen[k])
         if tried[-1].found > left:

@@ -178,11 +178,22 @@ class Integrator:
         total = throughput * total
         if depth == settings.bounces and not sampled:
             return total, hit.point, d, throughput, None, hit
-        drawn = self._draw(settings.materials, at, _random(seed, depth + 1, 0), n)
-        out = self.call(kernels.to_world, hit.frame, jnp.asarray(drawn.towards, self.dtype))
+        out, drawn, onward = self._onward(at, _random(seed, depth + 1, 0))
         throughput = throughput * jnp.asarray(drawn.weight, self.dtype)
-        onward = self.call(kernels.nearest, self.shapes, hit.point, out, hit.primitive)
         return total, hit.point, out, throughput, drawn, onward
+
+    def _onward(self, at: Points, rng: np.random.Generator) -> tuple[Array, Drawn, Hit]:
+        """Directions that the materials draw, how, and what they meet."""
+        drawn = self._draw(self.settings.materials, at, rng, len(at.v))
+        out = self.call(kernels.to_world, at.hit.frame, jnp.asarray(drawn.towards, self.dtype))
+        return out, drawn, self.call(kernels.nearest, self.shapes, at.hit.point, out, at.hit.primitive)
+
+    def drawn_light(self, k: int, at: Points, rng: np.random.Generator) -> Array:
+        """Radiance (N, C) that points send back of a lamp with extent, by one direction each that materials
+        draw: unbiased, and not blind for lobes that points of the lamp miss."""
+        out, drawn, onward = self._onward(at, rng)
+        light = self._seen(at.hit.point, out, onward.t, None, [k])
+        return jnp.asarray(drawn.weight, self.dtype) * light
 
     def _values(
         self, materials: tuple[Material, ...], at: Points, l: Array, *, mis: bool

@@ -36,11 +36,16 @@ def judged(
     }  # fmt: skip
 
 
+def percent(share: float) -> str:
+    """Two digits, or whole percents."""
+    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:,.0f} %"
+
+
 def reason(found: Decision) -> str:
     if found.state == "needed" and found.found > _LIMIT:
         return "without it nothing limits the error towards a rim"
     if found.state == "needed":
-        return f"without it a point is {100 * found.found:.3g} % off"
+        return f"without it a point is {percent(found.found)} off"
     if found.state == "bounded":
         return f"with what else is left out its {100 * found.bound:.2g} % would be too much"
     bound = "without bound" if not np.isfinite(found.bound) else f"up to {100 * found.bound:.2g} %"
