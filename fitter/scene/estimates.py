@@ -174,9 +174,10 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
             if tried[-1].found <= SHARE * left:
                 chosen[k], change, error = each_way, change + fewer, tried[-1].found
                 break
+        alone = wording.percent(tried[0].found)
         words = f"light {k} (area) " + (
             f"is {_REPLACED[chosen[k]]} where the camera looks" if chosen[k]
-            else f"sampled (from its centre alone {wording.percent(tried[0].found)} off), four points would not do"
+            else f"sampled (from its centre alone {alone} off), four points would not do"
         )  # fmt: skip
         one = tried[-1].decision("area light", str(k), bool(chosen[k]), words, points_each_way=chosen[k])
         if tried[-1].found > left:
