@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 Ratio = tuple[float, float] | None
 
 _SAME: tuple[float, float] = (1.0, 1.0)
+#: Ratios that lie further apart are of no use, and pixels that tell so.
+_APART, _PIXELS = 0.95, 1_000
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,10 @@ def _scaled(low: float, high: float) -> tuple[float, float]:
 
 def _ratio(scene: Scene, c: int, reference: int, bounces: int) -> Ratio:
     """Of the radiance of channel c to that of another."""
+    # A few pixels of an environment mostly show that channels differ by more than is of use.
+    some = [_lamp(one, c, reference, thin=True) for one in scene.lamps]
+    if any(found and found[0] < (1.0 - _APART) * found[1] for found in some):
+        return None
     lamps = [_lamp(one, c, reference) for one in scene.lamps]
     surfaces = _SAME
     first = True
@@ -147,14 +153,13 @@ def _ratio(scene: Scene, c: int, reference: int, bounces: int) -> Ratio:
     return (low, high) if low <= high else _SAME
 
 
-def _lamp(one: Lamp, c: int, reference: int) -> Ratio:
+def _lamp(one: Lamp, c: int, reference: int, *, thin: bool = False) -> Ratio:
     """None where the lamp is dark in both channels."""
     if one.picture is None:
         return _hull(one.level[c : c + 1], one.level[reference : reference + 1])
-    return _hull(
-        (one.picture[..., c] * one.level[c]).reshape(-1),
-        (one.picture[..., reference] * one.level[reference]).reshape(-1),
-    )
+    pixels = one.picture.reshape(-1, one.picture.shape[2])
+    pixels = pixels[:: max(1, len(pixels) // _PIXELS)] if thin else pixels
+    return _hull(pixels[:, c] * one.level[c], pixels[:, reference] * one.level[reference])
 
 
 def _material(one: Material, c: int, reference: int) -> Ratio:

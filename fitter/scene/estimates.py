@@ -6,7 +6,7 @@ most (1 - s)^N; with N given the share is told that this makes 1 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -28,12 +28,12 @@ FloatArray = NDArray[np.float64]
 _POINTS, _RAYS, CONFIDENCE = 1024, 1 << 16, 0.99
 #: Of fewer points too little follows.
 _FEWEST = 200
-#: Points each way and panels of a lamp that what stands for it is compared with, and by which materials are.
-_FINE, _COARSE = (2, 8), (2, 2)
+#: Points each way and panels of a lamp that what stands for it is compared with.
+_FINE = (2, 8)
 #: Of the error that is left at most this share may be estimated: more than what was met may be elsewhere.
 SHARE = 0.5
-#: Standard errors that two estimates of the light may differ by.
-_AGREED = 5.0
+#: The share of the light that may come from one point's part of a lamp.
+_CELL = 0.1
 #: Points each way that may stand for an area lamp.
 LADDER = (1, 2)
 _REPLACED = {1: "its centre", 2: "four points"}
@@ -137,13 +137,17 @@ class Probe:
         return total
 
 
-    def agrees(self, k: int, light: FloatArray) -> bool:
-        """Whether light (P, C) of lamp k is in the mean what directions that the materials draw see of it: of
-        lobes so narrow that they fall between the lamp's points it is not."""
+    def resolved(self, k: int, materials: tuple[Material, ...], light: FloatArray) -> bool:
+        """Whether the fine rule's points on lamp k see every lobe by which drawn directions meet it: no cell
+        of one point may hold more than _CELL of the light (P, C)."""
         assert self.at is not None
-        drawn = np.asarray(self.integrator.drawn_light(k, self.at, self.rng), np.float64)
-        drawn = drawn[: self.count * (self.rows // self.count)].mean(axis=1)
-        return abs(drawn.mean() - light.mean()) <= _AGREED * drawn.std() / np.sqrt(len(drawn))
+        integrator = self.integrator
+        if materials != integrator.settings.materials:
+            settings = replace(integrator.settings, materials=materials)
+            integrator = Integrator(self.scene, settings, np.dtype(np.float32))
+        peak = np.asarray(integrator.peaks(k, self.at, self.rng), np.float64) / (_FINE[0] * _FINE[1]) ** 2
+        owner = np.resize(np.repeat(np.arange(self.count), self.rows // self.count), self.rows)
+        return bool((peak <= _CELL * np.maximum(light, self.floor)[owner]).all())
 
 
 def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, Any]], float]:
@@ -156,14 +160,14 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
     if any(isinstance(one, ModelMaterial) and one.has_ideal for one in scene.materials):
         why = "sampled, as mirrors show its shape"
         return none, [wording.kept(f"light {k} (area)", "area light", why) for k in areas], 0.0
-    exact = {k: probe.light(k, probe.materials, *_FINE) for k in probe.lamps}
+    exact = _of_lamps(probe, probe.materials)
     whole = np.sum(list(exact.values()), axis=0)
     change = np.zeros_like(whole)
     probe.alone.update({k: _errors(light, whole, probe.floor) for k, light in exact.items()})
     chosen, decisions, error = list[int](none), list[dict[str, Any]](), 0.0
     for k in areas:
-        if not probe.agrees(k, exact[k]):
-            why = "sampled, as lobes are narrower than the distances of points on it"
+        if not probe.resolved(k, probe.materials, exact[k]):
+            why = "sampled, as lobes are narrower than what a few points tell"
             decisions.append(wording.kept(f"light {k} (area)", "area light", why))
             continue
         tried: list[Estimate] = []
@@ -193,12 +197,19 @@ def stand_ins(
     scene, chosen, decisions, error = probe.scene, probe.materials, list[dict[str, Any]](), 0.0
     if probe.at is None or not any(scene.stand_ins):
         return chosen, [], 0.0
-    whole = _whole(probe, chosen)
+    exact = _of_lamps(probe, chosen)
+    whole = np.sum(list(exact.values()), axis=0)
     for m, some in enumerate(scene.stand_ins):
         for source, other in some:
             changed = (*chosen[:m], other, *chosen[m + 1 :])
-            found = _largest(_whole(probe, changed) - whole, whole, probe.floor)
-            gone = found.found <= SHARE * left
+            lights = _of_lamps(probe, changed)
+            found = _largest(np.sum(list(lights.values()), axis=0) - whole, whole, probe.floor)
+            sharp = any(
+                not probe.resolved(k, materials, light[k])
+                for materials, light in ((chosen, exact), (changed, lights)) for k in light
+                if scene.lamps[k].kind == "area"
+            )  # fmt: skip
+            gone = found.found <= SHARE * left and not sharp
             place = "in place of" if gone else "not in place of"
             words = f"{source} {place} the table of {scene.names[m]}"
             one = found.decision("raw table", scene.names[m], gone, words, stand_in=source)
@@ -211,19 +222,30 @@ def stand_ins(
     return chosen, decisions, error
 
 
-def _whole(probe: Probe, materials: tuple[Material, ...]) -> FloatArray:
-    return np.sum([probe.light(k, materials, *_COARSE) for k in probe.lamps], axis=0)
+def _of_lamps(probe: Probe, materials: tuple[Material, ...]) -> dict[int, FloatArray]:
+    return {k: probe.light(k, materials, *_FINE) for k in probe.lamps}
+
+
+def together(probe: Probe, direct: tuple[Material, ...], points: tuple[int, ...]) -> Estimate:
+    """The error of all that a program does to light that comes straight from lamps."""
+    if probe.at is None:
+        return Estimate(0.0, 0)
+    whole = np.sum(list(_of_lamps(probe, probe.materials).values()), axis=0)
+    rules = {k: (points[k], 1) if points[k] else _FINE for k in probe.lamps}
+    less = [probe.light(k, direct, *rule) for k, rule in rules.items()]
+    return _largest(np.sum(less, axis=0) - whole, whole, probe.floor)
 
 
 def precision(scene: Scene, floor: float, seed: int, rows: int) -> Estimate:
     """The error of float32 against float64: one sample of a pixel with everything on and the same random
-    numbers."""
+    numbers, of pixels that show a shape."""
     total, everything = scene.spec.camera.width * scene.spec.camera.height, Settings.everything(scene)
     pixel = np.linspace(0, total - 1, rows).astype(np.intp)
-    single, double = (
-        Integrator(scene, everything, np.dtype(kind)).batch(pixel, (seed, 2**31))[0].astype(np.float64)
+    (single, _), (double, met) = (
+        Integrator(scene, everything, np.dtype(kind)).batch(pixel, (seed, 2**31))
         for kind in (np.float32, np.float64)
     )
+    single, double = (part[met].astype(np.float64) for part in (single, double))
     return _largest(single - double, double, floor)
 
 

@@ -188,12 +188,15 @@ class Integrator:
         out = self.call(kernels.to_world, at.hit.frame, jnp.asarray(drawn.towards, self.dtype))
         return out, drawn, self.call(kernels.nearest, self.shapes, at.hit.point, out, at.hit.primitive)
 
-    def drawn_light(self, k: int, at: Points, rng: np.random.Generator) -> Array:
-        """Radiance (N, C) that points send back of a lamp with extent, by one direction each that materials
-        draw: unbiased, and not blind for lobes that points of the lamp miss."""
+    def peaks(self, k: int, at: Points, rng: np.random.Generator) -> Array:
+        """Radiance (N, C) that points would send back of area lamp k, were all of it as bright as in the one
+        direction that the materials draw; 0 where that misses the lamp."""
         out, drawn, onward = self._onward(at, rng)
-        light = self._seen(at.hit.point, out, onward.t, None, [k])
-        return jnp.asarray(drawn.weight, self.dtype) * light
+        lamp = self.place[k], self.frame[k], self.half[k], self.level[k]
+        light, density = lights.seen_area(*lamp, at.hit.point, out, onward.t)  # pyright: ignore[reportArgumentType]
+        value = jnp.asarray(drawn.weight, self.dtype) * jnp.asarray(drawn.pdf, self.dtype)[:, None]
+        met = density > 0
+        return jnp.where(met[:, None], value * light / jnp.where(met, density, 1.0)[:, None], 0.0)
 
     def _values(
         self, materials: tuple[Material, ...], at: Points, l: Array, *, mis: bool

@@ -48,7 +48,8 @@ class Interval:
 
     def __add__(self, other: Interval | float) -> Interval:
         o = _interval(other)
-        return Interval(_down(self.lo + o.lo), _up(self.hi + o.hi))
+        with np.errstate(over="ignore"):
+            return Interval(_down(self.lo + o.lo), _up(self.hi + o.hi))
 
     __radd__ = __add__
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,26 +16,20 @@ Proof = tuple[bool, int, Boxes]
 
 
 def dark(criteria: Criteria, tolerance: float) -> tuple[set[int], float, list[dict[str, Any]]]:
-    """Lamps that add nothing visible: the cheapest set whose bounds together are within half the tolerance
-    (the other half is for the materials), its bound, and decisions."""
+    """Lamps that add nothing visible: as many as have bounds that together are within half the tolerance (the
+    other half is for the materials), their bound, and decisions."""
     lamps, bounds = criteria.scene.lamps, dict[int, Decision]()
     for k in criteria.lamps if len(lamps) > 1 else ():
         others = [j for j in criteria.lamps if j != k and criteria.clear[j] and lamps[j].is_delta]
         found = _lamp(criteria, k, others, tolerance)
         if found is not None:
             bounds[k] = found
-    best: tuple[int, ...] = ()
+    best: list[int] = []
     usable = [k for k, found in bounds.items() if found.state == "bounded"]
-    for n in range(len(usable), 0, -1):
-        fit = [
-            some for some in itertools.combinations(usable, n)
-            if sum(bounds[k].bound for k in some) <= 0.5 * tolerance
-        ]  # fmt: skip
-        if fit:
-            best = min(fit, key=lambda some: sum(bounds[k].bound for k in some))
-            break
-    if len(best) == len(lamps):
-        best = best[1:]
+    # As many as there can be: the faintest first. One is left at least.
+    for k in sorted(usable, key=lambda k: bounds[k].bound)[: len(lamps) - 1]:
+        if sum(bounds[j].bound for j in (*best, k)) <= 0.5 * tolerance:
+            best.append(k)
     decisions: list[dict[str, Any]] = []
     for k, found in bounds.items():
         gone = k in best

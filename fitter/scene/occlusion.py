@@ -103,6 +103,9 @@ def clear(surfaces: Surfaces, k: int) -> tuple[bool, int, Boxes]:
     count = len(surfaces.radius)
     boxes = _whole(surfaces, k)
     none = boxes.take(np.zeros(0, np.intp))
+    # Light through a surface comes from behind it, and meets what lies there: itself, too.
+    if any(one.transmits for one in surfaces.scene.materials):
+        return False, 0, none
     if count == 1:
         return True, 0, none
     lamp = surfaces.lamps[k]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fitter.progress import Progress, ignore
-from fitter.scene import channels, estimates, lighting, occlusion, operations
+from fitter.scene import channels, estimates, lighting, occlusion, operations, wording
 from fitter.scene.assembly import Scene
 from fitter.scene.channels import Merged
 from fitter.scene.criteria import Criteria
@@ -84,6 +84,10 @@ class Planner:
     def run(self, progress: Progress = ignore) -> Program:
         """Lamps, shadows, reflections, channels, points of lamps, stand-ins for tables, materials."""
         task, scene, criteria = self.task, self.task.scene, self.criteria
+        if task.floor == 0:
+            # Nothing to be relative to: no proof could end.
+            dark = wording.kept("all", "all", "the pre-pass met no light: nothing is judged")
+            return Program(self.region, Settings.everything(scene), None, [dark], 0.0, self.estimated)
         # Lamps first: each costs a whole evaluation of every material.
         dark, error, decisions = lighting.dark(criteria, task.tolerance)
         self._spend(error)
@@ -105,24 +109,40 @@ class Planner:
             Settings.everything(scene), first=first, shadows=tuple(shadows), bounces=bounces
         )  # fmt: skip
         progress(0.3, "points of lamps")
-        self.probe = estimates.Probe(scene, settings, task.floor, task.seed, task.rows, self.region)
+        self.probe = self._probe(settings, task.seed)
+        spent = self.bounded, self.estimated
         points, found, error = estimates.lamps(self.probe, self.left)
-        decisions += found
         self._spend(error, estimated=True)
-        self.materials, found, error = estimates.stand_ins(self.probe, self.left)
-        decisions += found
+        self.materials, more, error = estimates.stand_ins(self.probe, self.left)
         self._spend(error, estimated=True)
         progress(0.5, "materials")
-        direct: list[Material] = []
-        worst, left = 0.0, self.left
-        for m, one in enumerate(self.materials):
-            chosen, bound, found = select(criteria, m, one, left)
-            decisions += found
-            direct.append(chosen)
-            worst = max(worst, bound)
-        self._spend(worst)
-        settings = replace(settings, points=points, direct=tuple(direct))
+        direct, bound, kept = self._direct()
+        if any(points) or self.materials != scene.materials:
+            # What was judged one after the other is judged once more as it will be, at other points.
+            check = estimates.together(self._probe(settings, task.seed + 1), direct, points)
+            more += [check.decision("together", "all", False, "all that is left out of direct light")]
+            if check.found > task.tolerance:
+                more[-1]["state"], found, points = "needed", [], (0,) * len(points)
+                self.materials, (self.bounded, self.estimated) = scene.materials, spent
+                direct, bound, kept = self._direct()
+        self._spend(bound)
+        settings = replace(settings, points=points, direct=direct)
+        decisions += [*found, *more, *kept]
         return Program(self.region, settings, merged, decisions, self.bounded, self.estimated)
+
+    def _probe(self, settings: Settings, seed: int) -> estimates.Probe:
+        task = self.task
+        return estimates.Probe(task.scene, settings, task.floor, seed, task.rows, self.region)
+
+    def _direct(self) -> tuple[tuple[Material, ...], float, list[dict[str, Any]]]:
+        """The materials without what what is left of the tolerance allows, the bound, decisions."""
+        chosen, worst, decisions = list[Material](), 0.0, list[dict[str, Any]]()
+        for m, one in enumerate(self.materials):
+            less, bound, found = select(self.criteria, m, one, self.left)
+            decisions += found
+            chosen.append(less)
+            worst = max(worst, bound)
+        return tuple(chosen), worst, decisions
 
     @property
     def left(self) -> float:

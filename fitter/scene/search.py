@@ -58,15 +58,16 @@ def decide(
     active = [i for i, error in enumerate(found) if error <= tolerance]
     upper, used = bounds(start, active) if active else (np.zeros((0, len(start))), 0)
     cells, closed, rounds = start, np.zeros(len(found)), 0
+    polish = min(POLISH, budget // 3)
     while active:
         goal = np.full(len(active), tolerance)
-        if used < POLISH:
+        if used < polish:
             goal = np.clip(TIGHT * found[active], min(LEAST, tolerance), tolerance)
         worst = np.maximum(closed[active], upper.max(axis=1, initial=0.0))
         for i, bound, enough in zip(active, worst.tolist(), goal.tolist(), strict=True):
             if found[i] > tolerance:
                 decisions[i] = Decision("needed", max(bound, float(found[i])), float(found[i]), used)
-            elif bound <= enough:
+            elif bound <= enough or (used >= budget and bound <= tolerance):
                 decisions[i] = Decision("bounded", bound, float(found[i]), used)
             elif used >= budget:
                 decisions[i] = Decision("open", bound, float(found[i]), used)

@@ -61,10 +61,16 @@ class Surfaces:
         self.frame = np.concatenate([spheres, g.frame, g.triangle_frame])
         self.radius = np.concatenate([g.radius, np.zeros(len(g.half) + len(g.corner))])
         self.spheres = s
-        self.size = float(
-            np.abs(np.concatenate([self.origin, eye[None]])).max() + self.distance.max(initial=0) + 1
-        )
         corners = np.stack([g.corner, g.corner + g.edge_1, g.corner + g.edge_2], axis=1)
+        #: More than any coordinate of a shape, a lamp or the camera.
+        self.size = 1.0 + max(
+            float(np.abs(part).max(initial=0.0))
+            for part in (
+                np.abs(g.center) + g.radius[:, None], np.abs(g.origin) + g.half.sum(axis=1)[:, None], corners,
+                eye, *(np.abs(one.place) for one in self.lamps),
+                *(np.abs(one.place) + one.half.sum() for one in self.lamps if one.half is not None),
+            )
+        )  # fmt: skip
         local = np.einsum("tij,tkj->tki", g.triangle_frame, corners - g.corner[:, None])[..., :2]
         self.triangle = local
         low, high = local.min(axis=1), local.max(axis=1)
@@ -260,8 +266,10 @@ class Surfaces:
         if one.kind == "environment":
             across = ((1.0 - s.clip(0, 1)) * (1.0 + s.clip(0, 1))).sqrt()
             assert one.picture is not None
-            # Radiance times the solid angle of the hemisphere bounds what one direction may stand for.
-            level = Interval.of(np.full(count, 2 * np.pi * float(one.picture.max())))
+            # Radiance times the solid angle of the hemisphere bounds what one direction may stand for; of its
+            # other directions a picture may be dark.
+            least, most = (2 * np.pi * float(end) for end in (one.picture.min(), one.picture.max()))
+            level = Interval(np.full(count, least), np.full(count, most))
             return (across * cosine(t), across * sine(t), s), level
         place = self._local(frame, one.place - origin)
         if one.frame is None or one.half is None:

@@ -38,7 +38,7 @@ def judged(
 
 def percent(share: float) -> str:
     """Two digits, or whole percents."""
-    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:,.0f} %"
+    return f"{100 * share:.2g} %" if share < 0.095 else f"{100 * share:,.0f} %"
 
 
 def reason(found: Decision) -> str:

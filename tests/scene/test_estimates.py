@@ -57,6 +57,8 @@ def test_a_lamp_is_points_where_the_picture_can_t_tell() -> None:
     assert "99% confidence" in told["sentence"]
     assert planned.document["bound"] + planned.document["estimated"] <= 0.1
     assert planned.document["operations"]["saved"] > 3
+    # What the program does is judged once more as a whole.
+    assert of(planned.document, "together")["found"] <= 0.1
     whole, less = render(found, samples=128, seed=1), render(found, samples=128, seed=2, by=planned)
     off = np.abs(less.radiance - whole.radiance)
     noise = np.hypot(less.standard_error, whole.standard_error)
@@ -74,11 +76,30 @@ def test_a_lamp_is_sampled_where_shadows_mirrors_or_horizons_show_its_shape() ->
     ball = {"kind": "sphere", "radius": 0.8, "material": "m"}
     told = of(plan(one(GLOSSY, [LAMP], ball), tolerance=0.1).document, "area light")
     assert (told["off"], told["state"]) == (False, "needed")
-    told = of(plan(one({"model": "specular", "values": {"ks": 0.9}}, [LAMP])).document, "area light")
+    mirror = {"model": "specular", "values": {"ks": 0.9}}
+    both = document(
+        shapes=[PLANE, {**ball, "material": "ball", "center": [0, 0, 1]}], lights=[LAMP],
+        materials={"m": mirror, "ball": GLOSSY},
+    )  # fmt: skip
+    told = of(plan(scene(both)).document, "area light")
     assert (told["off"], told["state"]) == (False, "not-bounded")
     away = {**document()["camera"], "position": [0, 0, 50], "look_at": [0, 1, 90]}
     nothing = scene(document(shapes=[PLANE], lights=[LAMP], materials={"m": GLOSSY}, camera=away))
     assert not [d for d in plan(nothing).document["decisions"] if d["effect"] == "area light"]
+
+
+def test_lobes_that_fall_between_the_points_of_a_rule_are_seen() -> None:
+    """Every rule misses them at every point alike: only directions that the material draws meet them."""
+    mirror = {
+        "model": {"family": "torrance_sparrow", "ndf": "beckmann", "masking": "smith"},
+        "values": {"kd": 0.3, "ks": 1.0, "f0": 0.3, "alpha": 1e-4},
+    }
+    far = {"kind": "area", "center": [0, -8, 5], "normal": [0, 8, -5], "size": [2.5, 2.5], "radiance": 1.0}
+    ball = {"kind": "sphere", "radius": 1.0, "material": "m"}
+    planned = plan(one(mirror, [far], ball), tolerance=0.2)
+    told = of(planned.document, "area light")
+    assert (told["off"], told["state"]) == (False, "not-bounded")
+    assert "narrower" in told["sentence"]
 
 
 @pytest.fixture(scope="module")

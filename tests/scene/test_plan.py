@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from fitter.scene.boxes import Boxes
 from fitter.scene.integrate import Integrator
 from fitter.scene.layers import layers
 from fitter.scene.materials import ModelMaterial
+from fitter.scene.picture import exr_bytes
 from fitter.scene.settings import Settings
 from fitter.scene.shading import value
 from fitter.scene.surfaces import Surfaces
@@ -326,6 +328,56 @@ def test_materials_without_light_or_beyond_a_substitute() -> None:
     unknown = one({"model": "he_torrance"}, PLANE, [SUN])
     kept = [d for d in plan(unknown).document["decisions"] if d["subject"] == "m"]
     assert [d["state"] for d in kept] == ["not-bounded"]
+
+
+def test_what_stands_far_away_casts_shadows() -> None:
+    """A long board whose middle is near, and that passes far above the floor."""
+    board = {
+        "kind": "plane", "size": [2000, 1], "center": [-10, 0, 0], "normal": [-10, 0, 1],
+        "tangent": [1, 0, 10], "material": "m",
+    }  # fmt: skip
+    found = scene(
+        document(
+            shapes=[PLANE, board], materials={"m": MATERIALS["matte"]}, bounces=0,
+            lights=[{**SUN, "direction": [0, 0, 1]}],
+        )
+    )  # fmt: skip
+    planned = plan(found, tolerance=0.01)
+    assert planned.settings.shadows == (True,)
+
+
+def test_a_sky_that_is_dark_somewhere_is_sure_of_nothing(tmp_path: Path) -> None:
+    pixels = np.zeros((8, 16), np.float32)
+    pixels[2, 3] = 50.0
+    (tmp_path / "sky.exr").write_bytes(exr_bytes({"Y": pixels}, {}))
+    sky = [{"kind": "environment", "file": "sky.exr"}]
+    shown = document(shapes=[PLANE], materials={"m": GGX}, lights=sky)
+    surfaces = Surfaces(scene(shown, folder=tmp_path))
+    angles = surfaces.angles(surfaces.start(0, (0,)))
+    assert (angles.arriving.lo <= 0).all()
+    assert (angles.arriving.hi >= 50.0).all()
+
+
+def test_many_faint_lamps_are_judged_at_once() -> None:
+    """Which of them are left out is no matter of trying all sets."""
+    lamps = [{**BULB, "position": [0.1 * k, 1, 3], "intensity": 1e-3} for k in range(40)]
+    planned = plan(one(MATERIALS["matte"], PLANE, [SUN, *lamps], bounces=0), tolerance=0.5)
+    assert sum(planned.settings.first) < 41
+    assert planned.settings.first[0]
+
+
+def test_what_is_bounded_when_the_boxes_run_out_is_bounded() -> None:
+    """Under a sky there are few boxes, too few to come near what points show."""
+    faint = {**GGX, "values": {**GGX["values"], "ks": 0.002}}
+    planned = plan(one(faint, {**PLANE, "size": [0.5, 0.5]}, [SKY]), tolerance=0.2)
+    told = {d["effect"]: d["state"] for d in planned.document["decisions"] if d["subject"] == "m"}
+    assert told["specular"] == "bounded"
+
+
+def test_without_light_nothing_is_judged() -> None:
+    planned = plan(one(GGX, PLANE, [{**SUN, "irradiance": 0.0}]))
+    assert [d["subject"] for d in planned.document["decisions"]] == ["all"]
+    assert planned.document["operations"]["saved"] == 1
 
 
 def test_a_scene_that_needs_everything_costs_everything() -> None:
