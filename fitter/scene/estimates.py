@@ -226,14 +226,14 @@ def _of_lamps(probe: Probe, materials: tuple[Material, ...]) -> dict[int, FloatA
     return {k: probe.light(k, materials, *_FINE) for k in probe.lamps}
 
 
-def together(probe: Probe, direct: tuple[Material, ...], points: tuple[int, ...]) -> Estimate:
-    """The error of all that a program does to light that comes straight from lamps."""
+def together(probe: Probe, direct: tuple[Material, ...], points: tuple[int, ...]) -> FloatArray:
+    """The errors (P,) of all that a program does to light that comes straight from lamps."""
     if probe.at is None:
-        return Estimate(0.0, 0)
+        return np.zeros(0)
     whole = np.sum(list(_of_lamps(probe, probe.materials).values()), axis=0)
     rules = {k: (points[k], 1) if points[k] else _FINE for k in probe.lamps}
     less = [probe.light(k, direct, *rule) for k, rule in rules.items()]
-    return _largest(np.sum(less, axis=0) - whole, whole, probe.floor)
+    return _errors(np.sum(less, axis=0) - whole, whole, probe.floor)
 
 
 def precision(scene: Scene, floor: float, seed: int, rows: int) -> Estimate:

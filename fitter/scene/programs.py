@@ -119,7 +119,8 @@ class Planner:
         direct, bound, kept = self._direct()
         if any(points) or self.materials != scene.materials:
             # What was judged one after the other is judged once more as it will be, at other points.
-            check = estimates.together(self._probe(settings, task.seed + 1), direct, points)
+            errors = estimates.together(self._probe(settings, task.seed + 1), direct, points)
+            check = estimates.Estimate(float(errors.max(initial=0.0)), len(errors))
             more += [check.decision("together", "all", False, "all that is left out of direct light")]
             if check.found > task.tolerance:
                 more[-1]["state"], found, points = "needed", [], (0,) * len(points)

@@ -215,17 +215,14 @@ def true_error(found: Scene, program: Program, floor: float, passes: int) -> flo
 
 
 def beyond(found: Scene, program: Program, floor: float, seed: int) -> tuple[int, int]:
-    """Other random points of a program's tiles, and at how many of them points for lamps are further off than
-    estimated."""
+    """Other random points of a program's tiles, and at how many of them direct light is further off than is
+    estimated and proved together."""
     rows = padded(found.spec.camera.width * found.spec.camera.height)
-    sampled = replace(program.apart, points=(0,) * len(found.lamps))
-    probe = Probe(found, sampled, floor, seed, rows, program.region)
-    # With less than nothing to spend all points are tried.
-    estimates.lamps(probe, -1.0)
-    if probe.at is None:
-        return 0, 0
-    errors = [probe.tried[k, n] for k, n in enumerate(program.apart.points) if n]
-    return probe.count, int((np.sum(errors, axis=0) > program.estimated * (1 + 1e-6)).sum())
+    exact = replace(program.apart, points=(0,) * len(found.lamps), direct=found.materials)
+    probe = Probe(found, exact, floor, seed, rows, program.region)
+    errors = estimates.together(probe, program.apart.direct, program.apart.points)
+    claim = (1.0 + program.bound) * (1.0 + program.estimated) - 1.0
+    return len(errors), int((errors > claim * (1 + 1e-6)).sum())
 
 
 def left_out(found: Scene, planned: Plan) -> list[tuple[float, Settings]]:
