@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 #: Numbers of normals that are tried, as long as more describe points better; each needs this many points per
 #: coordinate.
-COUNTS, POINTS = (1, 2, 4, 8, 12), 15
+COUNTS, POINTS = (1, 2, 4, 8, 12, 16, 24), 15
 ROUNDS = 40
 #: Of each variance of all points, added to those of a blob: it can't shrink onto a walker that is stuck.
 WIDTH = 1e-4

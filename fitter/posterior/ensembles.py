@@ -40,7 +40,7 @@ FEWEST_WALKERS = 12
 TUNING, ACCEPTED = (50, 50, 100, 200), 0.6
 #: Where even the last one accepts less than this, a normal won't do: rounds of blobs in free coordinates
 #: (:mod:`fitter.posterior.free`) follow, until they are accepted.
-HARD, FREE_TUNING, FREE_ACCEPTED = 0.3, (100, 200, 400, 800, 1600), 0.5
+HARD, FREE_TUNING, FREE_ACCEPTED = 0.3, (100, 100, 200, 200, 400, 400, 800, 800), 0.4
 #: Points that blobs are fitted to, at most.
 BLOB_POINTS = 6000
 
@@ -110,16 +110,16 @@ class Ensembles:
         if accepted >= HARD:
             return
         rng = np.random.default_rng(self.seed.spawn(1)[0])
-        self._fit_blobs(seen, rng)
+        found = [seen]
         for steps in FREE_TUNING:
-            seen, log_density, accepted = self._round(steps, log_density)
-            self._fit_blobs(seen, rng)
+            # What was seen late, since blobs and walkers find the posterior together.
+            late = np.concatenate(found)[len(np.concatenate(found)) // 2 :]
+            points = late if len(late) <= BLOB_POINTS else rng.choice(late, BLOB_POINTS, replace=False)
+            self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
             if accepted >= FREE_ACCEPTED:
                 break
-
-    def _fit_blobs(self, seen: FloatArray, rng: np.random.Generator) -> None:
-        points = seen if len(seen) <= BLOB_POINTS else rng.choice(seen, BLOB_POINTS, replace=False)
-        self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
+            seen, log_density, accepted = self._round(steps, log_density)
+            found.append(seen)
 
     def _round(
         self, steps: int, log_density: FloatArray | None

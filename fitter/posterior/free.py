@@ -11,12 +11,14 @@ framework for the parametrization of hierarchical models", Statistical Science 2
 samples are constants: where the noise is inferred, or not Gaussian, z is near normal only, and moves in it
 are as valid, since they go by the density of y times |dy/dv|.
 
-What else has bounds is the logistic function of its coordinate between them, or exp above a single one.
+What else has bounds is the normal distribution function of its coordinate between them, which makes a normal
+of a coordinate that the samples say nothing of, or exp above a single one.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
-from scipy.special import expit, logit
+from scipy.special import ndtr, ndtri
 
 from fitter.fitting.layout import Layout
 from fitter.posterior.density import Data, Density, Noise, terms_at
@@ -50,7 +52,7 @@ class Free:
         v, k = y.copy(), self.linear
         low, high = self._ends
         two, one = self._two_ends, self._one_end
-        v[:, two] = logit(np.clip((y - low)[:, two] / (high - low)[two], EDGE, 1.0 - EDGE))
+        v[:, two] = ndtri(np.clip((y - low)[:, two] / (high - low)[two], EDGE, 1.0 - EDGE))
         v[:, one] = np.log(np.maximum((y - low)[:, one], EDGE))
         volume = self._volume(v)
         if k:
@@ -65,7 +67,7 @@ class Free:
         y, k = v.copy(), self.linear
         low, high = self._ends
         two, one = self._two_ends, self._one_end
-        y[:, two] = low[two] + (high - low)[two] * expit(v[:, two])
+        y[:, two] = low[two] + (high - low)[two] * ndtr(v[:, two])
         y[:, one] = low[one] + np.exp(v[:, one])
         volume = self._volume(v)
         if k:
@@ -109,9 +111,8 @@ class Free:
         """log |dy/dv| (W,) of the coordinates that have bounds."""
         low, high = self._ends
         two = v[:, self._two_ends]
-        # d expit(v) = expit(v) expit(-v) dv
-        found = -(np.logaddexp(0.0, two) + np.logaddexp(0.0, -two)).sum(axis=1)
-        return found + np.log((high - low)[self._two_ends]).sum() + v[:, self._one_end].sum(axis=1)
+        found = -0.5 * np.square(two).sum(axis=1) + v[:, self._one_end].sum(axis=1)
+        return found + np.log((high - low)[self._two_ends] / math.sqrt(2.0 * math.pi)).sum()
 
     def _by_channel(self, y: FloatArray) -> FloatArray:
         return y[:, : self.linear].reshape(len(y), -1, self.density.channels).swapaxes(1, 2)
