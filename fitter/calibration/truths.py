@@ -86,6 +86,21 @@ class Truths:
         open_ &= self.high - self.low >= math.pi * (1 - 1e-12)
         return np.asarray(((y >= self.low) & (y <= self.high) | open_).all(axis=1))
 
+    @property
+    def within(self) -> dict[str, tuple[float, float]]:
+        """The ranges of linear and noise parameters, by label: a prior that has no more than this part of
+        theirs has the same posterior there, and its draws are not spent on lobes that hide between the samples
+        and may be of any strength. None where lobes can change places: a range is of a place."""
+        if interchangeable(self.places) is not None:
+            return {}
+        t = len(self.places.entries)
+        searched = {k for group in self.groups for k in group[:t]}
+        return {
+            label: (float(self.low[k]), float(self.high[k]))
+            for k, label in enumerate(self.labels)
+            if k not in searched
+        }
+
     def search(self, draws: FloatArray, labels: Sequence[str]) -> FloatArray:
         """(S, P) in search coordinates, in this order, from draws in the parameters' own units."""
         columns = draws[:, [labels.index(label) for label in self.labels]]

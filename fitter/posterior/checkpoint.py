@@ -11,7 +11,7 @@ import hashlib
 import io
 import shutil
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,9 @@ class Checkpoint:
         )  # fmt: skip
 
 
-def digest(table: Table, fit: FitResult, request: PosteriorSpec) -> str:
+def digest(
+    table: Table, fit: FitResult, request: PosteriorSpec, within: Mapping[str, tuple[float, float]]
+) -> str:  # fmt: skip
     """sha256 of everything that the chain of a run depends on."""
     found = hashlib.sha256()
     settings = request.model_copy(update={name: PosteriorSpec.model_fields[name].default for name in ENDS})
@@ -148,5 +150,5 @@ def digest(table: Table, fit: FitResult, request: PosteriorSpec) -> str:
     found.update(repr((table.metadata.angle_uncertainty, fit.model.channels)).encode())
     for name, estimate in fit.parameters.items():
         found.update(name.encode() + np.ascontiguousarray(estimate.value).tobytes())
-    found.update(repr(fit.metrics.get("relative_rmse")).encode())
+    found.update(repr((fit.metrics.get("relative_rmse"), sorted(within.items()))).encode())
     return found.hexdigest()

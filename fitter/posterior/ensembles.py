@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import emcee
@@ -25,6 +26,7 @@ from fitter.posterior.offsets import ANGLES, FARTHEST, tangents
 from fitter.spec import PosteriorSpec
 
 FloatArray = NDArray[np.float64]
+NOWHERE: Mapping[str, tuple[float, float]] = MappingProxyType({})
 #: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
 LARGEST_NOISE = 3.0
 #: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
@@ -40,9 +42,9 @@ FEWEST_WALKERS = 12
 TUNING, ACCEPTED = (50, 50, 100, 200), 0.6
 #: Where even the last one accepts less than this, a normal won't do: rounds of blobs in free coordinates
 #: (:mod:`fitter.posterior.free`) follow, until they are accepted.
-HARD, FREE_TUNING, FREE_ACCEPTED = 0.3, (100, 100, 200, 200, 400, 400, 800, 800), 0.4
+HARD, FREE_TUNING, FREE_ACCEPTED = 0.5, (100, 100, 200, 200, 400, 400, 800), 0.4
 #: Points that blobs are fitted to, at most.
-BLOB_POINTS = 6000
+BLOB_POINTS = 4000
 
 
 class Segment(NamedTuple):
@@ -187,10 +189,12 @@ class Ensembles:
 def start(
     places: Layout, fit: FitResult, data: Usable, index: NDArray[np.intp], group: Sequence[int],
     kind: str, request: PosteriorSpec, angles: FloatArray, rng: np.random.Generator,
+    within: Mapping[str, tuple[float, float]] = NOWHERE,
 ) -> Ensembles:  # fmt: skip
     """Ensembles for the channels ``group`` of the samples ``index``, around the mode near the fit.
 
     angles : (2 or 3,) standard uncertainties in radians of the instrument's angles; none, no offsets.
+    within : narrower ranges of parameters by label, in their own units.
 
     Raises FitError where there are fewer values than parameters or the likelihood is not finite.
     """
@@ -247,6 +251,9 @@ def start(
         labels += [f"{name}_offset" for name in ANGLES[: len(angles)]]
         low += [-FARTHEST] * len(angles)
         high += [FARTHEST] * len(angles)
+    for k, label in enumerate(labels):
+        if label in within:
+            low[k], high[k] = (end / units[k] for end in within[label])
     if value.size < len(x) - len(angles):
         raise FitError(
             f"{value.size} usable values can't determine {len(x)} parameters", code="too-few-samples",

@@ -138,6 +138,7 @@ class BlobsMove(Independence):
     def __init__(self, found: Blobs, coordinates: Coordinates) -> None:
         self.blobs, self.coordinates = found, coordinates
         self.roots = np.linalg.cholesky(found.covariance)
+        self.inverse = np.linalg.inv(self.roots)
         self.sizes = np.log(np.diagonal(self.roots, axis1=1, axis2=2)).sum(axis=1)
 
     def proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
@@ -149,7 +150,7 @@ class BlobsMove(Independence):
 
     def log_density(self, x: FloatArray) -> FloatArray:
         weight, mean, _ = self.blobs
-        z = np.linalg.solve(self.roots, (x - mean[:, None]).swapaxes(1, 2))
+        z = self.inverse @ (x - mean[:, None]).swapaxes(1, 2)
         each = -0.5 * (FREEDOM + x.shape[1]) * np.log1p(np.square(z).sum(axis=1) / FREEDOM)
         return np.logaddexp.reduce((np.log(weight) - self.sizes)[:, None] + each)
 
