@@ -3,7 +3,8 @@
 The prior of a posterior is flat in the search coordinates (the logarithm of what is searched by its order of
 magnitude). Over a part of its range it is flat, too, and draws of the posterior that lie in that part are
 draws of the posterior that has this part alone as its prior. So truths drawn from the part and the draws
-within it are an exact test, and the part may be where the surfaces are that somebody measures.
+within it are an exact test, and the part may be where the surfaces are that somebody measures. Linear and
+noise parameters are sampled within their part; draws that leave that of another are left out.
 Surfaces with several names (lobes in any order, axes swapped with a quarter turn) go by the one that the
 posterior uses.
 """
@@ -88,9 +89,9 @@ class Truths:
 
     @property
     def within(self) -> dict[str, tuple[float, float]]:
-        """The ranges of linear and noise parameters, by label: a prior that has no more than this part of
-        theirs has the same posterior there, and its draws are not spent on lobes that hide between the samples
-        and may be of any strength. None where lobes can change places: a range is of a place."""
+        """The ranges of linear and noise parameters, by label: a prior that is no wider has the same
+        posterior there, and its draws are not spent on lobes that hide between the samples and may be of any
+        strength. Empty where lobes can change places: a range is of a place."""
         if interchangeable(self.places) is not None:
             return {}
         t = len(self.places.entries)

@@ -29,7 +29,7 @@ class Blobs(NamedTuple):
     covariance: FloatArray
 
     def log_parts(self, x: FloatArray) -> FloatArray:
-        """(K, N) the logarithm of the weighted density of each normal at points x (N, P), up to a constant."""
+        """(K, N) logarithm of the weighted density of each normal at points x (N, P), up to a constant."""
         root = np.linalg.cholesky(self.covariance)
         z = np.linalg.inv(root) @ (x - self.mean[:, None]).swapaxes(1, 2)
         size = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)

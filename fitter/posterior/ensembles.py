@@ -43,8 +43,8 @@ TUNING, ACCEPTED = (50, 50, 100, 200), 0.6
 #: Where even the last one accepts less than this, a normal won't do: rounds of blobs in free coordinates
 #: (:mod:`fitter.posterior.free`) follow, until they are accepted.
 HARD, FREE_TUNING, FREE_ACCEPTED = 0.5, (100, 100, 200, 200, 400, 400, 800), 0.4
-#: Points that blobs are fitted to, at most.
-BLOB_POINTS = 4000
+#: Points that blobs are fitted to, and values that all walkers go through in one of their rounds, at most.
+BLOB_POINTS, FREE_VALUES = 4000, 400_000_000
 
 
 class Segment(NamedTuple):
@@ -111,21 +111,25 @@ class Ensembles:
                 break
         if accepted >= HARD:
             return
-        rng = np.random.default_rng(self.seed.spawn(1)[0])
-        found = [seen]
+        rng, found = np.random.default_rng(self.seed.spawn(1)[0]), [seen]
+        self._fit_blobs(found, rng)
         for steps in FREE_TUNING:
-            # What was seen late, since blobs and walkers find the posterior together.
-            late = np.concatenate(found)[len(np.concatenate(found)) // 2 :]
-            points = late if len(late) <= BLOB_POINTS else rng.choice(late, BLOB_POINTS, replace=False)
-            self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
-            if accepted >= FREE_ACCEPTED:
+            if steps * self.weight.size * len(self.proposal.walkers) > FREE_VALUES:
                 break
             seen, log_density, accepted = self._round(steps, log_density)
             found.append(seen)
+            self._fit_blobs(found, rng)
+            if accepted >= FREE_ACCEPTED:
+                break
 
-    def _round(
-        self, steps: int, log_density: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, float]:
+    def _fit_blobs(self, found: list[FloatArray], rng: np.random.Generator) -> None:
+        """To the later half of what was seen: walkers and blobs find a posterior together."""
+        every = np.concatenate(found)
+        late = every[len(every) // 2 :]
+        points = late if len(late) <= BLOB_POINTS else rng.choice(late, BLOB_POINTS, replace=False)
+        self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
+
+    def _round(self, steps: int, log_density: FloatArray | None) -> tuple[FloatArray, FloatArray, float]:
         """Where the walkers were in the second half of these steps (N, P), their log-density at the end, and
         the share of the independence proposals that the half accepted."""
         sampler, independence = self._sampler()

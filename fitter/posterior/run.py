@@ -98,6 +98,13 @@ def sample(
         kept.begin()
     progress(0.0, "finding the mode")
     runs = [start(places, fit, data, index, group, kind, request, angles, rng, within) for group in groups]
+    own = {p.name for p in places.linear} | {"relative_noise", "noise_floor"}
+    known = {label for run in runs for label in run.labels if label.partition("[")[0] in own}
+    if not known.issuperset(within):
+        raise SpecError(
+            f"{sorted(set(within) - known)[0]!r} is no linear or noise parameter here", code="bad-ranges",
+            parameter="within", remedy=f"use {', '.join(sorted(known))}, and bounds of the fit for others",
+        )  # fmt: skip
     plain = None
     if len(angles) or request.likelihood != "gaussian":
         plainly = request.model_copy(update={"likelihood": "gaussian"})
