@@ -176,7 +176,7 @@ class _Simulator:
         asked = self.request.posterior.model_copy(update={
             "seed": int(rng.integers(2**63)), "noise": "inferred" if self.sigma is None else "table",
         })  # fmt: skip
-        posterior = sample(table, fit, asked, progress=sampling, robust=False)
+        posterior = sample(table, fit, asked, progress=sampling, robust=False, within=self.truths.within)
         # Draws that fill a range, or lie at its end, are draws: only walkers that don't agree are none.
         if posterior.status == "not_converged":
             return posterior.status
@@ -188,7 +188,7 @@ class _Simulator:
                 return SHORT
             kept = max(asked.keep, math.ceil(2.0 * self.request.draws / share))
             asked = asked.model_copy(update={"ess": more, "keep": kept})
-            posterior = sample(table, fit, asked, progress=sampling, robust=False)
+            posterior = sample(table, fit, asked, progress=sampling, robust=False, within=self.truths.within)
             y, effective = self._inside(posterior)
             if posterior.status == "not_converged" or effective < self.request.draws:
                 return SHORT

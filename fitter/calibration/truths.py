@@ -3,7 +3,8 @@
 The prior of a posterior is flat in the search coordinates (the logarithm of what is searched by its order of
 magnitude). Over a part of its range it is flat, too, and draws of the posterior that lie in that part are
 draws of the posterior that has this part alone as its prior. So truths drawn from the part and the draws
-within it are an exact test, and the part may be where the surfaces are that somebody measures.
+within it are an exact test, and the part may be where the surfaces are that somebody measures. Linear and
+noise parameters are sampled within their part; draws that leave that of another are left out.
 Surfaces with several names (lobes in any order, axes swapped with a quarter turn) go by the one that the
 posterior uses.
 """
@@ -85,6 +86,21 @@ class Truths:
             open_[[group[k] for k in azimuths(self.places)]] = True
         open_ &= self.high - self.low >= math.pi * (1 - 1e-12)
         return np.asarray(((y >= self.low) & (y <= self.high) | open_).all(axis=1))
+
+    @property
+    def within(self) -> dict[str, tuple[float, float]]:
+        """The ranges of linear and noise parameters, by label: a prior that is no wider has the same
+        posterior there, and its draws are not spent on lobes that hide between the samples and may be of any
+        strength. Empty where lobes can change places: a range is of a place."""
+        if interchangeable(self.places) is not None:
+            return {}
+        t = len(self.places.entries)
+        searched = {k for group in self.groups for k in group[:t]}
+        return {
+            label: (float(self.low[k]), float(self.high[k]))
+            for k, label in enumerate(self.labels)
+            if k not in searched
+        }
 
     def search(self, draws: FloatArray, labels: Sequence[str]) -> FloatArray:
         """(S, P) in search coordinates, in this order, from draws in the parameters' own units."""

@@ -24,7 +24,7 @@ def naive(runs: Sequence[Ensembles]) -> dict[str, float]:
     """Standard uncertainties by label from the curvature at the mode (Laplace), in the parameters' units."""
     found: dict[str, float] = {}
     for run in runs:
-        mode, covariance, _ = run.proposal
+        mode, covariance = run.proposal[:2]
         # d exp(y) = exp(y) dy, and d (y unit) = unit dy
         slope = np.where(run.logs, np.exp(np.where(run.logs, mode, 0.0)), run.units)
         found |= dict(zip(run.labels, np.abs(slope) * np.sqrt(np.diagonal(covariance)), strict=True))

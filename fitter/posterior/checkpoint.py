@@ -11,7 +11,7 @@ import hashlib
 import io
 import shutil
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import fitter
 from fitter.documents import read_document, write_bytes, write_document
 from fitter.errors import SpecError
 from fitter.fitting.result import FitResult
+from fitter.posterior.blobs import Blobs
 from fitter.posterior.ensembles import Ensembles, Proposal, Segment
 from fitter.spec import PosteriorSpec, canonical_json
 from fitter.table import Table
@@ -74,7 +75,12 @@ class Checkpoint:
         count = len(list(self.folder.glob("segment-*.npz")))
         try:
             for k, run in enumerate(runs):
-                run.proposal = Proposal(held[f"mean{k}"], held[f"covariance{k}"], held[f"walkers{k}"])
+                found = None
+                if f"blobs{k}_weight" in held:
+                    found = Blobs(*(held[f"blobs{k}_{field}"] for field in Blobs._fields))
+                run.proposal = Proposal(
+                    held[f"mean{k}"], held[f"covariance{k}"], held[f"walkers{k}"], found
+                )  # fmt: skip
                 run.density = replace(run.density, centre=held[f"centre{k}"])
                 run.tuning = int(held[f"steps{k}"])
             for number in range(count):
@@ -93,8 +99,10 @@ class Checkpoint:
         """Keep the tuned proposals."""
         parts: dict[str, Any] = {"seconds": seconds}
         for k, run in enumerate(runs):
-            mean, covariance, walkers = run.proposal
+            mean, covariance, walkers, found = run.proposal
             parts |= {f"mean{k}": mean, f"covariance{k}": covariance, f"walkers{k}": walkers}
+            if found is not None:
+                parts |= {f"blobs{k}_{field}": part for field, part in found._asdict().items()}
             parts |= {f"centre{k}": run.density.centre, f"steps{k}": run.tuning}
         self._write("tuned.npz", parts)
 
@@ -129,7 +137,9 @@ class Checkpoint:
         )  # fmt: skip
 
 
-def digest(table: Table, fit: FitResult, request: PosteriorSpec) -> str:
+def digest(
+    table: Table, fit: FitResult, request: PosteriorSpec, within: Mapping[str, tuple[float, float]]
+) -> str:  # fmt: skip
     """sha256 of everything that the chain of a run depends on."""
     found = hashlib.sha256()
     settings = request.model_copy(update={name: PosteriorSpec.model_fields[name].default for name in ENDS})
@@ -140,5 +150,5 @@ def digest(table: Table, fit: FitResult, request: PosteriorSpec) -> str:
     found.update(repr((table.metadata.angle_uncertainty, fit.model.channels)).encode())
     for name, estimate in fit.parameters.items():
         found.update(name.encode() + np.ascontiguousarray(estimate.value).tobytes())
-    found.update(repr(fit.metrics.get("relative_rmse")).encode())
+    found.update(repr((fit.metrics.get("relative_rmse"), sorted(within.items()))).encode())
     return found.hexdigest()

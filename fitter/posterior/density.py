@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fitter.fitting.layout import Layout
-from fitter.fitting.order import azimuths, ordered_axes
+from fitter.fitting.order import azimuths, ordered_axes, swaps
 from fitter.posterior.offsets import shifted
 
 FloatArray = NDArray[np.float64]
@@ -98,25 +99,28 @@ class Density:
         inside = self.within(y)
         # Beyond its bounds a model may be anything, and slow.
         y = np.where(inside[:, None], y, np.clip(y, self.lower, self.upper))
+        (found,) = self.in_parts(lambda part: (_batch(self.layout, self.noise, part, self.on_device),), y)
+        return np.where(inside, found, -np.inf)
+
+    def in_parts(self, program: Callable[[FloatArray], tuple[Array, ...]], y: FloatArray) -> list[FloatArray]:
+        """What a program finds at vectors y (W, P), each (W, ...), from parts of ``rows`` of them."""
         rows = self.rows or len(y)
         # The last part is filled up with the last vector again.
         places = np.minimum(np.arange(-(-len(y) // rows) * rows), len(y) - 1).reshape(-1, rows)
-        if len(places) == 1:
-            found = self._part(y[places[0]])
-        else:
-            found = np.concatenate(list(self._pool.map(self._part, y[places])))
-        return np.where(inside, found[: len(y)], -np.inf)
 
-    def _part(self, y: FloatArray) -> FloatArray:
-        return np.asarray(_batch(self.layout, self.noise, y, self._data))
+        def one(part: FloatArray) -> list[FloatArray]:
+            return [np.asarray(found) for found in program(part)]
+
+        parts = [one(y[places[0]])] if len(places) == 1 else list(self._pool.map(one, y[places]))
+        return [np.concatenate(each)[: len(y)] for each in zip(*parts, strict=True)]
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:
         return ThreadPoolExecutor(os.cpu_count() or 1)
 
     @cached_property
-    def _data(self) -> Data:
-        """On the device once and for all: every call would copy it again."""
+    def on_device(self) -> Data:
+        """The data on the device once and for all: every call would copy it again."""
         return jax.device_put(self.data)
 
     def within(self, y: FloatArray) -> NDArray[np.bool_]:
@@ -147,12 +151,17 @@ class Density:
 
     @property
     def prior_range(self) -> tuple[FloatArray, FloatArray]:
-        """(P,) ends of the ranges; of azimuths, the half turn that they have one name in."""
+        """(P,) ends of the ranges; of azimuths, the half turn that they have one name in, and of Lafortune's
+        delta the half of its range."""
         low, high = self.lower.copy(), self.upper.copy()
         if self._named:
             assert self.centre is not None
             where = len(self.layout.linear) * self.channels + azimuths(self.layout)
             low[where], high[where] = self.centre[where] - np.pi / 2, self.centre[where] + np.pi / 2
+            for swap in swaps(self.layout):
+                if len(swap.delta) == 1 and not len(swap.first):
+                    where = len(self.layout.linear) * self.channels + swap.delta
+                    low[where], high[where] = -np.pi / 4, np.pi / 4
         return low, high
 
     @cached_property
@@ -181,9 +190,9 @@ class Density:
         Where the mode is pressed against a bound with slope g the density falls as exp(-g distance): g^2 is
         taken for its curvature.
         """
-        slope = np.asarray(_value_and_grad(self.layout, self.noise, y, self._data)[1])
+        slope = np.asarray(_value_and_grad(self.layout, self.noise, y, self.on_device)[1])
         pressed = ((y <= self.lower) & (slope < 0)) | ((y >= self.upper) & (slope > 0))
-        h = -np.nan_to_num(np.asarray(_hessian(self.layout, self.noise, y, self._data)))
+        h = -np.nan_to_num(np.asarray(_hessian(self.layout, self.noise, y, self.on_device)))
         h = 0.5 * (h + h.T) + np.diag(np.where(pressed, slope * slope, 0.0))
         typical = np.maximum(np.abs(y), np.median(np.abs(self.data.value)))
         width = np.where(np.isfinite(self.upper), 0.3 * (self.upper - self.lower), typical)
@@ -192,28 +201,19 @@ class Density:
         return (vectors * np.maximum(values, 1.0)) @ vectors.T / width[:, None] / width
 
     def _negative(self, z: FloatArray, scale: FloatArray) -> tuple[float, FloatArray]:
-        value, slope = _value_and_grad(self.layout, self.noise, z * scale, self._data)
+        value, slope = _value_and_grad(self.layout, self.noise, z * scale, self.on_device)
         return -float(value), -np.asarray(slope) * scale
 
 
 def log_likelihood(layout: Layout, noise: Noise, y: Array, data: Data) -> Array:
     """Log-likelihood () of one vector y in the model's coordinates, and the log-prior of offsets, up to a
     constant."""
-    c, t = data.value.shape[0], len(layout.entries)
+    c = data.value.shape[0]
     names = [p.name for p in layout.linear]
-    linear = y[: len(names) * c].reshape(len(names), c)
-    u = y[len(names) * c : len(names) * c + t]
-    rest = y[len(names) * c + t :]
-    coefficients = layout.family.coefficients(
-        layout.spec, dict(zip(names, linear, strict=True)), layout.nonlinear(u)
-    )  # fmt: skip
-    pair = jnp.asarray(data.pair)
-    prior = jnp.zeros(())
-    if noise.offsets:
-        z = rest[len(rest) - noise.offsets :]
-        pair = shifted(pair, jnp.asarray(data.tangent), z * jnp.asarray(data.width))
-        prior = -0.5 * jnp.sum(jnp.square(z))
-    terms = layout.terms(u, pair)
+    linear = dict(zip(names, y[: len(names) * c].reshape(len(names), c), strict=True))
+    terms, u, rest = terms_at(layout, noise, y, data)
+    coefficients = layout.family.coefficients(layout.spec, linear, layout.nonlinear(u))
+    prior = -0.5 * jnp.sum(jnp.square(rest[len(rest) - noise.offsets :]))
     each = terms.swapaxes(0, 1) if layout.mixed else terms
     # Written out: an einsum of these shapes becomes a matrix product ten times as slow.
     f = sum((b[:, None] * term for b, term in zip(coefficients[1:], each[1:], strict=True)),
@@ -229,6 +229,19 @@ def log_likelihood(layout: Layout, noise: Noise, y: Array, data: Data) -> Array:
     if noise.freedom is not None:
         squares = (noise.freedom + 1.0) * jnp.log1p(squares / noise.freedom)
     return prior - 0.5 * jnp.sum(squares + jnp.log(variance))
+
+
+def terms_at(layout: Layout, noise: Noise, y: Array, data: Data) -> tuple[Array, Array, Array]:
+    """The terms (K, n), or (C, K, n) where channels have parameters of their own, of a vector y in the
+    model's coordinates; the search coordinates in it; and what is behind them."""
+    c, t = data.value.shape[0], len(layout.entries)
+    first = len(layout.linear) * c
+    u, rest = y[first : first + t], y[first + t :]
+    pair = jnp.asarray(data.pair)
+    if noise.offsets:
+        z = rest[len(rest) - noise.offsets :]
+        pair = shifted(pair, jnp.asarray(data.tangent), z * jnp.asarray(data.width))
+    return layout.terms(u, pair), u, rest
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "noise"))

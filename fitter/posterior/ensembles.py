@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import emcee
@@ -16,12 +18,15 @@ from fitter.fitting.layout import Layout
 from fitter.fitting.metrics import LOG_FLOOR
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
+from fitter.posterior.blobs import Blobs, blobs
 from fitter.posterior.density import Data, Density, Noise
-from fitter.posterior.moves import IndependenceMove, mixture
+from fitter.posterior.free import Free
+from fitter.posterior.moves import Independence, free_mixture, mixture
 from fitter.posterior.offsets import ANGLES, FARTHEST, tangents
 from fitter.spec import PosteriorSpec
 
 FloatArray = NDArray[np.float64]
+NOWHERE: Mapping[str, tuple[float, float]] = MappingProxyType({})
 #: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
 LARGEST_NOISE = 3.0
 #: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
@@ -35,6 +40,11 @@ FEWEST_WALKERS = 12
 #: Steps of the rounds after which the proposals are fitted to the walkers; all of them are discarded. They
 #: end with the first round whose second half accepts this share of the independence proposals.
 TUNING, ACCEPTED = (50, 50, 100, 200), 0.6
+#: Where even the last one accepts less than this, a normal won't do: rounds of blobs in free coordinates
+#: (:mod:`fitter.posterior.free`) follow, until they are accepted.
+HARD, FREE_TUNING, FREE_ACCEPTED = 0.5, (100, 100, 200, 200, 400, 400, 800), 0.4
+#: Points that blobs are fitted to, and values that all walkers go through in one of their rounds, at most.
+BLOB_POINTS, FREE_VALUES = 4000, 400_000_000
 
 
 class Segment(NamedTuple):
@@ -48,18 +58,20 @@ class Segment(NamedTuple):
 
 class Proposal(NamedTuple):
     """Normal that independence proposals come from: mean (P,), covariance (P, P); and the walkers (E W, P)
-    that start with it."""
+    that start with it. Where a normal won't do, the blobs in its place, in free coordinates."""
 
     mean: FloatArray
     covariance: FloatArray
     walkers: FloatArray
+    blobs: Blobs | None = None
 
 
 @dataclass
 class Ensembles:
     """The density and labels of a group, and its independent ensembles as they grow, segment by segment.
 
-    count : of ensembles; their walkers lie behind each other in one emcee sampler.
+    count : of ensembles; their walkers lie behind each other in one emcee sampler. weight : (C, n) of the
+    values in free coordinates.
     """
 
     density: Density
@@ -69,6 +81,7 @@ class Ensembles:
     count: int
     seed: np.random.SeedSequence
     proposal: Proposal
+    weight: FloatArray
     segments: list[Segment] = field(default_factory=list[Segment])
     tuning: int = 0
 
@@ -77,6 +90,10 @@ class Ensembles:
         """Steps since the tuning."""
         return sum(len(segment.chain) for segment in self.segments)
 
+    @cached_property
+    def free(self) -> Free:
+        return Free(self.density, self.weight)
+
     @property
     def acceptance(self) -> float:
         return sum(s.accepted * len(s.chain) for s in self.segments) / self.steps
@@ -84,25 +101,50 @@ class Ensembles:
     def tune(self) -> None:
         """Run, then fit the proposals to where the walkers are, until they are accepted: a posterior is
         seldom its own Laplace approximation."""
-        log_density = None
+        log_density, accepted, seen = None, 0.0, self.proposal.walkers
         for steps in TUNING:
-            sampler, independence = self._sampler()
-            random = np.random.RandomState(self.seed.spawn(1)[0].generate_state(8))
-            sampler.random_state = random.get_state()
-            state = State(self.proposal.walkers, log_prob=log_density)
-            state = sampler.run_mcmc(state, steps // 2, skip_initial_state_check=True)
-            independence.tried = independence.accepted = 0
-            assert state is not None
-            state = sampler.run_mcmc(State(state), steps - steps // 2, skip_initial_state_check=True)
-            assert state is not None
-            log_density = np.asarray(state.log_prob)
-            seen = _chain(sampler)[steps // 2 :].reshape(-1, self.density.size)
+            seen, log_density, accepted = self._round(steps, log_density)
             covariance = np.cov(seen.T).reshape(self.density.size, -1)
             covariance += np.diag(1e-12 * np.diagonal(covariance) + 1e-300)
-            self.proposal = Proposal(seen.mean(axis=0), covariance, np.asarray(state.coords))
-            self.tuning += steps
-            if independence.accepted >= ACCEPTED * independence.tried:
+            self.proposal = self.proposal._replace(mean=seen.mean(axis=0), covariance=covariance)
+            if accepted >= ACCEPTED:
                 break
+        if accepted >= HARD:
+            return
+        rng, found = np.random.default_rng(self.seed.spawn(1)[0]), [seen]
+        self._fit_blobs(found, rng)
+        for steps in FREE_TUNING:
+            if steps * self.weight.size * len(self.proposal.walkers) > FREE_VALUES:
+                break
+            seen, log_density, accepted = self._round(steps, log_density)
+            found.append(seen)
+            self._fit_blobs(found, rng)
+            if accepted >= FREE_ACCEPTED:
+                break
+
+    def _fit_blobs(self, found: list[FloatArray], rng: np.random.Generator) -> None:
+        """To the later half of what was seen: walkers and blobs find a posterior together."""
+        every = np.concatenate(found)
+        late = every[len(every) // 2 :]
+        points = late if len(late) <= BLOB_POINTS else rng.choice(late, BLOB_POINTS, replace=False)
+        self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
+
+    def _round(self, steps: int, log_density: FloatArray | None) -> tuple[FloatArray, FloatArray, float]:
+        """Where the walkers were in the second half of these steps (N, P), their log-density at the end, and
+        the share of the independence proposals that the half accepted."""
+        sampler, independence = self._sampler()
+        random = np.random.RandomState(self.seed.spawn(1)[0].generate_state(8))
+        sampler.random_state = random.get_state()
+        state = State(self.proposal.walkers, log_prob=log_density)
+        state = sampler.run_mcmc(state, steps // 2, skip_initial_state_check=True)
+        independence.tried = independence.accepted = 0
+        assert state is not None
+        state = sampler.run_mcmc(State(state), steps - steps // 2, skip_initial_state_check=True)
+        assert state is not None
+        self.proposal = self.proposal._replace(walkers=np.asarray(state.coords))
+        self.tuning += steps
+        seen = _chain(sampler)[steps // 2 :].reshape(-1, self.density.size)
+        return seen, np.asarray(state.log_prob), independence.accepted / max(independence.tried, 1)
 
     def advance(self, steps: int) -> Segment:
         """A segment more, the same whether those before it were run or read."""
@@ -125,14 +167,17 @@ class Ensembles:
         self.segments.append(segment)
         return segment
 
-    def _sampler(self) -> tuple[emcee.EnsembleSampler, IndependenceMove]:
-        mean, covariance, _ = self.proposal
-        moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
+    def _sampler(self) -> tuple[emcee.EnsembleSampler, Independence]:
+        mean, covariance, _, found = self.proposal
+        if found is None:
+            moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
+        else:
+            moves = free_mixture(found, self.count, self.free)
         sampler = emcee.EnsembleSampler(
             len(self.proposal.walkers), self.density.size, self.density, vectorize=True, moves=moves
         )
         first = moves[0][0]
-        assert isinstance(first, IndependenceMove)
+        assert isinstance(first, Independence)
         return sampler, first
 
     def natural(self, y: FloatArray) -> FloatArray:
@@ -148,10 +193,12 @@ class Ensembles:
 def start(
     places: Layout, fit: FitResult, data: Usable, index: NDArray[np.intp], group: Sequence[int],
     kind: str, request: PosteriorSpec, angles: FloatArray, rng: np.random.Generator,
+    within: Mapping[str, tuple[float, float]] = NOWHERE,
 ) -> Ensembles:  # fmt: skip
     """Ensembles for the channels ``group`` of the samples ``index``, around the mode near the fit.
 
     angles : (2 or 3,) standard uncertainties in radians of the instrument's angles; none, no offsets.
+    within : narrower ranges of parameters by label, in their own units.
 
     Raises FitError where there are fewer values than parameters or the likelihood is not finite.
     """
@@ -183,6 +230,7 @@ def start(
         low.append(lower[entry])
         high.append(upper[entry])
         units.append(1.0)
+    scale = sigma
     if sigma is None:
         if fit.metrics["relative_rmse"] < ROUNDING:
             raise FitError(
@@ -192,6 +240,7 @@ def start(
             )  # fmt: skip
         misfit = float(np.clip(fit.metrics["relative_rmse"], 1e-3, 0.3))
         guesses = (("relative_noise", misfit * np.ones(c)), ("noise_floor", data.floor[list(group)] / unit))
+        scale = np.hypot(misfit * value, guesses[1][1])
         for what, guess in guesses:
             x += list(guess)
             units += [unit if what == "noise_floor" else 1.0] * c
@@ -206,6 +255,9 @@ def start(
         labels += [f"{name}_offset" for name in ANGLES[: len(angles)]]
         low += [-FARTHEST] * len(angles)
         high += [FARTHEST] * len(angles)
+    for k, label in enumerate(labels):
+        if label in within:
+            low[k], high[k] = (end / units[k] for end in within[label])
     if value.size < len(x) - len(angles):
         raise FitError(
             f"{value.size} usable values can't determine {len(x)} parameters", code="too-few-samples",
@@ -246,7 +298,9 @@ def start(
     starts = density.folded(starts)
     seed = np.random.SeedSequence(int(rng.integers(2**63)))
     proposal = Proposal(mode, covariance, starts)
-    return Ensembles(density, labels, logs, np.array(units), request.ensembles, seed, proposal)
+    assert scale is not None
+    weight = np.ascontiguousarray(1.0 / np.square(scale).T)
+    return Ensembles(density, labels, logs, np.array(units), request.ensembles, seed, proposal, weight)
 
 
 def _chain(sampler: emcee.EnsembleSampler) -> FloatArray:

@@ -8,11 +8,15 @@ here is tested against targets of known spread.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import emcee
 import numpy as np
 from emcee.model import Model
 from emcee.state import State
 from numpy.typing import NDArray
+
+from fitter.posterior.blobs import Blobs
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -25,16 +29,70 @@ MIRRORS, NEAR = 5, 4.0
 #: Shares of the moves. What the independence proposals can't reach, differential evolution learns; its jumps
 #: of gamma = 1 cross between modes.
 SHARES = (0.8, 0.15, 0.05)
+FREE_SHARES = (0.6, 0.3, 0.1)
 
 
-class IndependenceMove(emcee.moves.Move):
-    """Metropolis-Hastings with proposals from a multivariate t about the mode (Tierney 1994).
+class Coordinates(Protocol):
+    """v(y) in which a move proposes: the density that it keeps is that of y times |dy/dv|."""
+
+    def into(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """v (W, P) of y (W, P), and log |dy/dv| (W,)."""
+        ...
+
+    def back(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """y (W, P) of v (W, P), and log |dy/dv| (W,)."""
+        ...
+
+
+class Plain:
+    """v = y."""
+
+    def into(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return y, np.zeros(len(y))
+
+    def back(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return v, np.zeros(len(v))
+
+
+PLAIN = Plain()
+
+
+class Independence(emcee.moves.Move):
+    """Metropolis-Hastings with proposals that don't look at where a walker is (Tierney 1994).
+
+    ``tried`` and ``accepted`` count its proposals.
+    """
+
+    coordinates: Coordinates = PLAIN
+    tried = accepted = 0
+
+    def propose(self, model: Model, state: State) -> tuple[State, NDArray[np.bool_]]:
+        random = model.random
+        x, volume = self.coordinates.into(state.coords)
+        moved = self.proposals(len(x), random)
+        proposed, moved_volume = self.coordinates.back(moved)
+        found = model.compute_log_prob_fn(proposed)[0]
+        log_ratio = self.log_density(x) - self.log_density(moved) + moved_volume - volume
+        accepted = np.log(random.rand(len(x))) < found - state.log_prob + log_ratio
+        self.tried += len(x)
+        self.accepted += int(accepted.sum())
+        return self.update(state, State(proposed, log_prob=found), accepted), accepted
+
+    def proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
+        """(count, P) in ``coordinates``."""
+        raise NotImplementedError
+
+    def log_density(self, x: FloatArray) -> FloatArray:
+        """(W,) of proposals x (W, P), up to a constant."""
+        raise NotImplementedError
+
+
+class IndependenceMove(Independence):
+    """Proposals from a multivariate t about the mode.
 
     A posterior near a bound is half a bell. Proposals beyond a bound that the mode is near to are mirrored
     back, so that the density of a proposal is the sum over its mirror images; with more than MIRRORS such
     bounds, proposals beyond the others are left to be refused.
-
-    ``tried`` and ``accepted`` count its proposals.
     """
 
     def __init__(
@@ -43,7 +101,6 @@ class IndependenceMove(emcee.moves.Move):
     ) -> None:  # fmt: skip
         self.mode = mode
         self.root = np.linalg.cholesky(covariance)
-        self.tried = self.accepted = 0
         sd = np.sqrt(np.diagonal(covariance))
         below, above = (mode - lower) / sd, (upper - mode) / sd
         self.bound = np.where(below <= above, lower, upper)
@@ -52,17 +109,7 @@ class IndependenceMove(emcee.moves.Move):
         self.near = np.argsort(distance, kind="stable")[:MIRRORS]
         self.near = self.near[distance[self.near] < NEAR]
 
-    def propose(self, model: Model, state: State) -> tuple[State, NDArray[np.bool_]]:
-        x, random = state.coords, model.random
-        proposed = self._proposals(len(x), random)
-        found = model.compute_log_prob_fn(proposed)[0]
-        log_ratio = self.log_density(x) - self.log_density(proposed)
-        accepted = np.log(random.rand(len(x))) < found - state.log_prob + log_ratio
-        self.tried += len(x)
-        self.accepted += int(accepted.sum())
-        return self.update(state, State(proposed, log_prob=found), accepted), accepted
-
-    def _proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
+    def proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
         normal = random.standard_normal((count, len(self.mode)))
         z = normal * np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=(count, 1)))
         proposed = self.mode + z @ self.root.T
@@ -71,7 +118,7 @@ class IndependenceMove(emcee.moves.Move):
         return proposed
 
     def log_density(self, x: FloatArray) -> FloatArray:
-        """(W,) of proposals x (W, P) on the inner side of the mirrors, up to a constant."""
+        # On the inner side of the mirrors.
         centred = (x - self.mode).T
         images = [centred]
         for k in self.near:
@@ -85,6 +132,29 @@ class IndependenceMove(emcee.moves.Move):
         return np.logaddexp.reduce(each.reshape(len(images), len(x)), axis=0)
 
 
+class BlobsMove(Independence):
+    """Proposals from a mixture of multivariate t, one for each of the ``blobs`` of where walkers were."""
+
+    def __init__(self, found: Blobs, coordinates: Coordinates) -> None:
+        self.blobs, self.coordinates = found, coordinates
+        self.roots = np.linalg.cholesky(found.covariance)
+        self.inverse = np.linalg.inv(self.roots)
+        self.sizes = np.log(np.diagonal(self.roots, axis1=1, axis2=2)).sum(axis=1)
+
+    def proposals(self, count: int, random: np.random.RandomState) -> FloatArray:
+        weight, mean, _ = self.blobs
+        k = random.choice(len(weight), size=count, p=weight)
+        normal = random.standard_normal((count, mean.shape[1]))
+        z = normal * np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=(count, 1)))
+        return mean[k] + np.einsum("wij,wj->wi", self.roots[k], z)
+
+    def log_density(self, x: FloatArray) -> FloatArray:
+        weight, mean, _ = self.blobs
+        z = self.inverse @ (x - mean[:, None]).swapaxes(1, 2)
+        each = -0.5 * (FREEDOM + x.shape[1]) * np.log1p(np.square(z).sum(axis=1) / FREEDOM)
+        return np.logaddexp.reduce((np.log(weight) - self.sizes)[:, None] + each)
+
+
 class DifferenceMove(emcee.moves.Move):
     """Differential evolution (ter Braak 2006, Nelson et al. 2014): a walker of one half of its ensemble moves
     along the difference of two of the other half.
@@ -93,7 +163,10 @@ class DifferenceMove(emcee.moves.Move):
     2.38/sqrt(2 P).
     """
 
-    def __init__(self, ensembles: int, gamma: float | None = None) -> None:
+    def __init__(
+        self, ensembles: int, gamma: float | None = None, coordinates: Coordinates = PLAIN
+    ) -> None:  # fmt: skip
+        self.coordinates = coordinates
         self.ensembles = ensembles
         self.gamma = gamma
 
@@ -105,15 +178,19 @@ class DifferenceMove(emcee.moves.Move):
         shuffled = random.rand(self.ensembles, each).argsort(axis=1) + first
         accepted = np.zeros(count, bool)
         halves = shuffled[:, : each // 2], shuffled[:, each // 2 :]
+        v, volume = self.coordinates.into(state.coords)
+        v, volume = v.copy(), volume.copy()
         for mine, others in (halves, halves[::-1]):
-            moved = self._moved(state.coords, mine, others, random).reshape(-1, size)
+            moved = self._moved(v, mine, others, random).reshape(-1, size)
+            proposed, moved_volume = self.coordinates.back(moved)
             index = mine.reshape(-1)
-            found = model.compute_log_prob_fn(moved)[0]
-            better = np.log(random.rand(len(index))) < found - log_density[index]
+            found = model.compute_log_prob_fn(proposed)[0]
+            log_ratio = found - log_density[index] + moved_volume - volume[index]
+            better = np.log(random.rand(len(index))) < log_ratio
             taken = index[better]
             accepted[taken] = True
-            state.coords[taken] = moved[better]
-            log_density[taken] = found[better]
+            state.coords[taken], v[taken] = proposed[better], moved[better]
+            log_density[taken], volume[taken] = found[better], moved_volume[better]
         return state, accepted
 
     def _moved(
@@ -132,7 +209,7 @@ class DifferenceMove(emcee.moves.Move):
 def mixture(
     mode: FloatArray, covariance: FloatArray, ensembles: int, lower: FloatArray | float = -np.inf,
     upper: FloatArray | float = np.inf,
-) -> list[tuple[IndependenceMove | DifferenceMove, float]]:  # fmt: skip
+) -> list[tuple[Independence | DifferenceMove, float]]:  # fmt: skip
     """Independence proposals mixed with differential evolution, which learns a shape that isn't normal.
 
     lower, upper : bounds, beyond which the density is 0.
@@ -140,3 +217,14 @@ def mixture(
     independence = IndependenceMove(mode, covariance, lower, upper)
     moves = (independence, DifferenceMove(ensembles), DifferenceMove(ensembles, 1.0))
     return list(zip(moves, SHARES, strict=True))
+
+
+def free_mixture(
+    found: Blobs, ensembles: int, coordinates: Coordinates
+) -> list[tuple[Independence | DifferenceMove, float]]:
+    """The like of :func:`mixture` for a posterior of any shape, in coordinates without bounds."""
+    moves = (
+        BlobsMove(found, coordinates), DifferenceMove(ensembles, None, coordinates),
+        DifferenceMove(ensembles, 1.0, coordinates),
+    )  # fmt: skip
+    return list(zip(moves, FREE_SHARES, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from fitter.fitting.usable import usable
 from fitter.posterior import jackknife
 from fitter.posterior.beside import naive
 from fitter.posterior.checkpoint import Checkpoint, digest
-from fitter.posterior.ensembles import start
+from fitter.posterior.ensembles import NOWHERE, start
 from fitter.posterior.looks import FIRST, look_at
 from fitter.posterior.offsets import ANGLES
 from fitter.posterior.result import Posterior
@@ -40,6 +41,7 @@ def sample(
     *,
     checkpoint: Path | str | None = None,
     robust: bool = True,
+    within: Mapping[str, tuple[float, float]] = NOWHERE,
     progress: progress.Progress = progress.ignore,
     **settings: Any,
 ) -> Posterior:
@@ -54,6 +56,8 @@ def sample(
         but the budget looks at the clock. The folder stays: delete it when the result is safe.
     robust : False leaves out the robust uncertainty beside the posterior's own, which takes a moment; draws
         that are rescaled to it have it all the same.
+    within : narrower ranges than the prior's of linear and noise parameters, by label and in their own units;
+        those of the others are bounds of the fit.
     progress : called with (share, text); may raise to stop.
 
     Returns
@@ -89,11 +93,18 @@ def sample(
         if len(groups) > 1:
             places = replace(places, own=(True,) * len(places.free), channels=len(groups))
         groups = [list(range(len(data.channels)))]
-    kept = None if checkpoint is None else Checkpoint(Path(checkpoint), digest(table, fit, request))
+    kept = None if checkpoint is None else Checkpoint(Path(checkpoint), digest(table, fit, request, within))
     if kept is not None:
         kept.begin()
     progress(0.0, "finding the mode")
-    runs = [start(places, fit, data, index, group, kind, request, angles, rng) for group in groups]
+    runs = [start(places, fit, data, index, group, kind, request, angles, rng, within) for group in groups]
+    own = {p.name for p in places.linear} | {"relative_noise", "noise_floor"}
+    known = {label for run in runs for label in run.labels if label.partition("[")[0] in own}
+    if not known.issuperset(within):
+        raise SpecError(
+            f"{sorted(set(within) - known)[0]!r} is no linear or noise parameter here", code="bad-ranges",
+            parameter="within", remedy=f"use {', '.join(sorted(known))}, and bounds of the fit for others",
+        )  # fmt: skip
     plain = None
     if len(angles) or request.likelihood != "gaussian":
         plainly = request.model_copy(update={"likelihood": "gaussian"})

@@ -50,6 +50,14 @@ def _truths(spec: str, ranges: dict[str, tuple[float, float]], values: dict[str,
     return truths(fit, data, inferred=True, around=None, ranges=ranges)
 
 
+def test_ranges_of_linear_and_noise_parameters_are_the_prior_that_is_sampled():
+    found = _truths("ward", {"ks": (0.0, 0.3), "alpha": (0.1, 0.2)}, {"kd": 0.1, "ks": 0.05, "alpha": 0.15})
+    assert found.within.keys() == {"kd[value]", "ks[value]", "relative_noise[value]", "noise_floor[value]"}
+    assert found.within["ks[value]"] == (0.0, 0.3)
+    two = {"kd": 0.2, "ks_1": 0.3, "ks_2": 0.1, "gamma_1": -0.7, "n_1": 5.0, "n_2": 60.0}
+    assert not _truths("lafortune:2", {}, two).within
+
+
 @pytest.mark.parametrize(
     ("spec", "values"),
     [

@@ -1,9 +1,9 @@
 """Are posteriors calibrated? Simulation-based calibration of every family, 200 simulations each.
 
 Truths come from exactly the prior that the posterior uses, flat in its search coordinates (log alpha,
-log n), over the ranges stated here: those of the nonlinear parameters are bounds of the fit, so that they are
-the prior's; draws with linear or noise parameters outside theirs are left out, which makes the posterior that
-of this prior (see :mod:`fitter.calibration.truths`). Albedos go down to 0, F0 and psi over their whole range,
+log n), over the ranges stated here: those of the nonlinear parameters are bounds of the fit, and
+linear and noise parameters are sampled within theirs, so that they are the prior's (see
+:mod:`fitter.calibration.truths`). Albedos go down to 0, F0 and psi over their whole range,
 so that bounds, unidentified parameters and exchanged axes are among the truths. Sigma is fixed, whatever the
 truth is: one that followed the truth would tell of it. Where the noise is inferred it is drawn, too.
 A posterior that does not converge counts as the lowest rank and as an interval that misses.

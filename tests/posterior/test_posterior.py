@@ -228,6 +228,8 @@ def test_requests_that_make_no_sense(ward):
         fitter.posterior(table, fit, ensembles=1)
     with pytest.raises(SpecError, match="not both"):
         fitter.posterior(table, fit, PosteriorSpec(), seed=1)
+    with pytest.raises(SpecError, match="no linear or noise parameter"):
+        fitter.posterior(table, fit, within={"alpha": (0.1, 0.2)})
 
 
 def test_progress_can_stop_it(ward):
