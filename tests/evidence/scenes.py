@@ -332,4 +332,5 @@ STUDY = Study(
     models=lambda: [*SUITE, *(f"random scenes {k}" for k in range(PARTS))],
     judge=judge,
     subject="scene",
+    least=8,
 )  # fmt: skip
