@@ -123,8 +123,10 @@ class Planner:
             check = estimates.Estimate(float(errors.max(initial=0.0)), len(errors))
             more += [check.decision("together", "all", False, "all that is left out of direct light")]
             if check.found > task.tolerance:
-                more[-1]["state"], found, points = "needed", [], (0,) * len(points)
-                self.materials, (self.bounded, self.estimated) = scene.materials, spent
+                for one in (*found, *more):
+                    one.update(off=False, state="needed")
+                points, self.materials = (0,) * len(points), scene.materials
+                self.bounded, self.estimated = spent
                 direct, bound, kept = self._direct()
         self._spend(bound)
         settings = replace(settings, points=points, direct=direct)

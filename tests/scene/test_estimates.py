@@ -12,7 +12,7 @@ import pytest
 from fitter.errors import SpecError
 from fitter.fitting import fit
 from fitter.models import ReflectanceModel, create
-from fitter.scene import plan, render, scene
+from fitter.scene import estimates, plan, render, scene
 from fitter.scene.assembly import Scene
 from fitter.scene.lights import points
 from fitter.scene.materials import ModelMaterial
@@ -100,6 +100,19 @@ def test_lobes_that_fall_between_the_points_of_a_rule_are_seen() -> None:
     told = of(planned.document, "area light")
     assert (told["off"], told["state"]) == (False, "not-bounded")
     assert "narrower" in told["sentence"]
+
+
+def test_estimates_that_fail_together_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def further_off(*_: Any) -> np.ndarray:
+        return np.full(300, 0.2)
+
+    monkeypatch.setattr(estimates, "together", further_off)
+    planned = plan(one(GLOSSY, [LAMP]), tolerance=0.1)
+    told = of(planned.document, "together")
+    assert (told["state"], told["found"], told["off"]) == ("needed", 0.2, False)
+    assert not of(planned.document, "area light")["off"]
+    assert planned.settings.points == (0,)
+    assert planned.document["estimated"] == 0
 
 
 @pytest.fixture(scope="module")
