@@ -289,8 +289,8 @@ def judge(name: str, share: float, seed: int) -> Outcome:
                 if any(program.apart.points):
                     points, more = beyond(found, program, floor, seed + 1)
                     tried, further = tried + points, further + more
-            if told["bound"] >= bound:
-                bound, at = told["bound"], len(whole) - 1
+            if planned.whole.bound >= bound:
+                bound, at = planned.whole.bound, len(whole) - 1
         if any(lamp.kind == "environment" for lamp in found.lamps):
             continue
         whole = [(least, replace(one, points=(0,) * len(found.lamps))) for least, one in whole]
