@@ -23,6 +23,7 @@ from fitter.scene import wording
 from fitter.scene.assembly import Scene, chosen
 from fitter.scene.lights import Lamp
 from fitter.scene.materials import Material, ModelMaterial, TableMaterial
+from fitter.scene.search import Decision
 
 FloatArray = NDArray[np.float64]
 #: Least and largest ratio of two channels; None where it is not known.
@@ -106,16 +107,16 @@ def decision(scene: Scene, found: Merged | None, bound: float) -> dict[str, Any]
     names = scene.spec.channels
     if found is None:
         sentence = f"{', '.join(names)} kept apart: lights or materials tell them apart"
-        return {**wording.kept("all", "channels", ""), "sentence": sentence}
+        return wording.kept("all", "channels", sentence)
     groups = [[names[c] for c, k in enumerate(found.of) if k == j] for j in range(len(found.columns))]
     told = "; ".join(" = ".join(group) for group in groups)
     error = f"error <= {100 * bound:.2g} %" if bound else "error 0"
-    return {
-        "effect": "channels", "subject": "all", "off": True, "state": "bounded", "bound": bound, "found": 0.0,
-        "boxes": 0, "computed": [names[c] for c in found.columns],
-        "sentence": f"{len(found.columns)} of {len(names)} channels computed, the others are these but for a "
-        f"factor ({told}): {error}",
-    }  # fmt: skip
+    sentence = (
+        f"{len(found.columns)} of {len(names)} channels computed, the others are these but for a factor "
+        f"({told}): {error}"
+    )
+    proved = wording.decision("channels", "all", Decision("bounded", bound, 0.0, 0), True, sentence)
+    return {**proved, "computed": [names[c] for c in found.columns]}
 
 
 def _scaled(low: float, high: float) -> tuple[float, float]:
@@ -135,21 +136,19 @@ def _ratio(scene: Scene, c: int, reference: int, bounces: int) -> Ratio:
     if any(found and found[0] < (1.0 - _APART) * found[1] for found in some):
         return None
     lamps = [_lamp(one, c, reference) for one in scene.lamps]
-    surfaces = _SAME
-    first = True
+    least, most = np.inf, 0.0
     for one in scene.materials:
         found = _material(one, c, reference)
         if found is None:
             return None
-        surfaces = found if first else (min(surfaces[0], found[0]), max(surfaces[1], found[1]))
-        first = False
+        least, most = min(least, found[0]), max(most, found[1])
     seen = [found for found, one in zip(lamps, scene.lamps, strict=True) if found and not one.is_delta]
     lit = [found for found in lamps if found]
     low, high = np.inf, 0.0
     for n in range(bounces + 2):
         for found in lit if n else seen:
-            low = min(low, found[0] * surfaces[0] ** n)
-            high = max(high, found[1] * surfaces[1] ** n)
+            low = min(low, found[0] * least**n)
+            high = max(high, found[1] * most**n)
     return (low, high) if low <= high else _SAME
 
 

@@ -158,8 +158,7 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
     if probe.at is None or not probe.lamps:
         return none, [], 0.0
     if any(isinstance(one, ModelMaterial) and one.has_ideal for one in scene.materials):
-        why = "sampled, as mirrors show its shape"
-        return none, [wording.kept(f"light {k} (area)", "area light", why) for k in areas], 0.0
+        return none, [_sampled(k, "mirrors show its shape") for k in areas], 0.0
     exact = _of_lamps(probe, probe.materials)
     whole = np.sum(list(exact.values()), axis=0)
     change = np.zeros_like(whole)
@@ -167,8 +166,7 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
     chosen, decisions, error = list[int](none), list[dict[str, Any]](), 0.0
     for k in areas:
         if not probe.resolved(k, probe.materials, exact[k]):
-            why = "sampled, as lobes are narrower than what a few points tell"
-            decisions.append(wording.kept(f"light {k} (area)", "area light", why))
+            decisions.append(_sampled(k, "lobes are narrower than what a few points tell"))
             continue
         tried: list[Estimate] = []
         for each_way in LADDER:
@@ -188,6 +186,10 @@ def lamps(probe: Probe, left: float) -> tuple[tuple[int, ...], list[dict[str, An
             one["state"] = "needed"
         decisions.append(one)
     return tuple(chosen), decisions, error
+
+
+def _sampled(k: int, why: str) -> dict[str, Any]:
+    return wording.kept(str(k), "area light", f"light {k} (area) sampled, as {why}")
 
 
 def stand_ins(

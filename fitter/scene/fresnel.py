@@ -7,11 +7,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from fitter.scene.boxes import Angles, FloatArray
+from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval
+from fitter.scene.runs import Runs
 from fitter.spec import ModelSpec
 
-#: Cells of the tables of exact terms, a power of two.
+#: Cells of the tables of exact terms.
 _CELLS = 1 << 13
 
 
@@ -28,15 +29,9 @@ def reflectance(spec: ModelSpec, values: Mapping[str, float], c: Interval) -> In
     if spec.fresnel in (None, "none"):
         return Interval.of(np.ones(c.lo.shape))
     exact = values["eta"], values["kappa"] if spec.fresnel == "conductor" else None
-    low, high = _table(*exact)
-    # The cells that hold both ends, and all between, as two rows of a power of two of them that overlap.
     first, last = (np.clip((x * _CELLS).astype(np.intp), 0, _CELLS - 1) for x in (c.lo, c.hi))
-    level = np.frexp(last - first + 1)[1] - 1
-    other = last - (1 << level) + 1
-    wide = Interval(
-        np.minimum(low[level, first], low[level, other]), np.maximum(high[level, first], high[level, other])
-    )
-    narrow = np.flatnonzero(level == 0)
+    wide = _table(*exact).over(first, last)
+    narrow = np.flatnonzero(first == last)
     if not len(narrow):
         return wide
     near = _exact(*exact, Interval(c.lo[narrow], c.hi[narrow])).meet(
@@ -47,17 +42,12 @@ def reflectance(spec: ModelSpec, values: Mapping[str, float], c: Interval) -> In
 
 
 @lru_cache(maxsize=64)
-def _table(eta: float, kappa: float | None) -> tuple[FloatArray, FloatArray]:
-    """Bounds of an exact Fresnel term over 2^k cells of cosines from each on, in row k: it need not be
-    monotone, and each cosine appears in it often."""
+def _table(eta: float, kappa: float | None) -> Runs:
+    """Of an exact Fresnel term over cells of cosines: it need not be monotone, and each cosine appears in it
+    often."""
     edges = np.arange(_CELLS + 1) / _CELLS
     one = _exact(eta, kappa, Interval(edges[:-1], edges[1:]))
-    low, high = [one.lo], [one.hi]
-    for k in range(_CELLS.bit_length() - 1):
-        on = np.minimum(np.arange(_CELLS) + (1 << k), _CELLS - 1)
-        low.append(np.minimum(low[-1], low[-1][on]))
-        high.append(np.maximum(high[-1], high[-1][on]))
-    return np.stack(low), np.stack(high)
+    return Runs(one.lo, one.hi)
 
 
 def _exact(eta: float, kappa: float | None, c: Interval) -> Interval:

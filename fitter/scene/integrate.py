@@ -184,7 +184,7 @@ class Integrator:
 
     def _onward(self, at: Points, rng: np.random.Generator) -> tuple[Array, Drawn, Hit]:
         """Directions that the materials draw, how, and what they meet."""
-        drawn = self._draw(self.settings.materials, at, rng, len(at.v))
+        drawn = self._draw(at, rng)
         out = self.call(kernels.to_world, at.hit.frame, jnp.asarray(drawn.towards, self.dtype))
         return out, drawn, self.call(kernels.nearest, self.shapes, at.hit.point, out, at.hit.primitive)
 
@@ -231,15 +231,13 @@ class Integrator:
                 density = density + of_some(drawn_by.pdf)
         return total, density
 
-    def _draw(
-        self, materials: tuple[Material, ...], at: Points, rng: np.random.Generator, n: int
-    ) -> Drawn:
-        v = at.v
+    def _draw(self, at: Points, rng: np.random.Generator) -> Drawn:
+        v, n = at.v, len(at.v)
         towards = jnp.zeros((n, 3), self.dtype).at[:, 2].set(1.0)
         weight = jnp.zeros((n, self.count), self.dtype)
         pdf, ideal = jnp.zeros(n, self.dtype), jnp.zeros(n, bool)
         for m in at.present:
-            one, lanes = materials[m], at.of == m
+            one, lanes = self.settings.materials[m], at.of == m
             if isinstance(one, ModelMaterial):
                 kernel, given = one.draw_call(v, rng)
                 drawn = self.call(kernel, *given)

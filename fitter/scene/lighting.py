@@ -68,8 +68,7 @@ def shadow(criteria: Criteria, k: int, proof: Proof, tolerance: float) -> tuple[
     error = criteria.hidden(k, witness, tolerance)
     if error <= tolerance and len(witness):
         sentence = f"{name} kept: what they change is not bounded"
-        told = {**wording.kept(str(k), "shadows", ""), "found": error, "boxes": boxes}
-        return True, {**told, "sentence": sentence}
+        return True, {**wording.kept(str(k), "shadows", sentence), "found": error, "boxes": boxes}
     found = Decision("needed" if error > tolerance else "open", float("inf"), error, boxes)
     sentence = f"{name} kept: {wording.reason(found)}"
     return True, wording.decision("shadows", str(k), found, False, sentence)
@@ -82,6 +81,6 @@ def bounces(criteria: Criteria) -> tuple[int, list[dict[str, Any]]]:
         return 0, []
     if any(one.transmits for one in scene.materials) or not occlusion.nothing_faces(criteria.surfaces):
         sentence = "reflections between shapes kept: surfaces face each other"
-        return scene.spec.bounces, [{**wording.kept("all", "bounces", ""), "sentence": sentence}]
+        return scene.spec.bounces, [wording.kept("all", "bounces", sentence)]
     sentence = "reflections between shapes off: no surface faces another, error 0"
     return 0, [wording.decision("bounces", "all", Decision("bounded", 0.0, 0.0, 0), True, sentence)]

@@ -20,6 +20,7 @@ from fitter.models import scattering_loss
 from fitter.models.kulla_conty import colour_of
 from fitter.scene.boxes import Angles
 from fitter.scene.intervals import Interval, increasing
+from fitter.scene.runs import Runs
 from fitter.spec import ModelSpec
 
 FloatArray = NDArray[np.float64]
@@ -54,15 +55,10 @@ class _Loss:
         high = np.maximum(np.maximum(q[1:], q[:-1]) + wide, 0.0) / scale[:-1] * (1 + _ROUNDED)
         # Beyond Beckmann's top nothing is lost; GGX has none below 1.
         beyond = 0.0 if kind == "beckmann" else low[-1]
-        self._low = _runs(np.append(low, beyond), np.minimum)
-        self._high = _runs(np.append(high, beyond), np.maximum)
+        self._cells = Runs(np.append(low, beyond), np.append(high, beyond))
 
     def over(self, c: Interval) -> Interval:
-        first, last = self._cell(c.lo, -_ROUNDED), self._cell(c.hi, _ROUNDED)
-        run = np.frexp(last - first + 1)[1] - 1
-        other = last + 1 - (1 << run)
-        low = np.minimum(self._low[run, first], self._low[run, other])
-        return Interval(low, np.maximum(self._high[run, first], self._high[run, other]))
+        return self._cells.over(self._cell(c.lo, -_ROUNDED), self._cell(c.hi, _ROUNDED))
 
     def _cell(self, c: FloatArray, by: float) -> NDArray[np.intp]:
         x = np.sqrt(np.arcsinh(c / self.alpha) / np.arcsinh(self.top / self.alpha))
@@ -70,13 +66,3 @@ class _Loss:
 
 
 _loss = lru_cache(maxsize=16)(_Loss)
-
-
-def _runs(cells: FloatArray, extreme: np.ufunc) -> FloatArray:
-    """Row k holds the extreme of the 2^k cells from each on."""
-    found = [cells]
-    for k in range(_CELLS.bit_length() - 1):
-        ahead = np.roll(found[-1], -(1 << k))
-        ahead[-(1 << k):] = found[-1][-1]
-        found.append(extreme(found[-1], ahead))
-    return np.stack(found)

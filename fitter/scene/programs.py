@@ -86,7 +86,7 @@ class Planner:
         task, scene, criteria = self.task, self.task.scene, self.criteria
         if task.floor == 0:
             # Nothing to be relative to: no proof could end.
-            dark = wording.kept("all", "all", "the pre-pass met no light: nothing is judged")
+            dark = wording.kept("all", "all", "all: the pre-pass met no light, nothing is judged")
             return Program(self.region, Settings.everything(scene), None, [dark], 0.0, self.estimated)
         # Lamps first: each costs a whole evaluation of every material.
         dark, error, decisions = lighting.dark(criteria, task.tolerance)

@@ -29,10 +29,10 @@ def select(
     """``one``, in place of material m, without what the tolerance ``left`` allows, the bound, decisions."""
     name = criteria.scene.names[m]
     if not isinstance(one, ModelMaterial):
-        return one, 0.0, [wording.kept(name, "all", "a raw table has no effects to leave out")]
+        return one, 0.0, [wording.kept(name, "all", f"{name}: a raw table has no effects to leave out")]
     why = effects.unbounded(one.model)
     if why is not None:
-        return one, 0.0, [wording.kept(name, "all", why)]
+        return one, 0.0, [wording.kept(name, "all", f"{name}: {why}")]
     constants = constants_of(criteria.scene, m, one, criteria.surfaces)
     full = operations.of_material(one)
     names = effects.effects(one.model)[:_MOST]

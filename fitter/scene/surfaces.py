@@ -82,7 +82,7 @@ class Surfaces:
         self.eye = eye
         self.view = View(scene.spec.camera, region, self.size)
 
-    def coordinates(self, primitive: IntArray, point: FloatArray) -> tuple[IntArray, FloatArray]:
+    def coordinates(self, primitive: IntArray, point: FloatArray) -> FloatArray:
         """Points (P, 3) of primitives (P,) as coordinates (P, 2)."""
         frame = self.frame[primitive]
         local = np.einsum("bij,bj->bi", frame, point - self.origin[primitive])
@@ -91,7 +91,7 @@ class Surfaces:
         azimuth = np.arctan2(local[:, 1], local[:, 0]) % (2 * np.pi)
         on_ball = np.stack([local[:, 2] / radius, azimuth], axis=1)
         found = np.where(ball[:, None], on_ball, local[:, :2])
-        return primitive, np.clip(found, self.low[primitive], self.high[primitive])
+        return np.clip(found, self.low[primitive], self.high[primitive])
 
     def start(self, material: int, lamps: tuple[int, ...]) -> Boxes:
         """Boxes that together hold all points of shapes of one material, and of lamps."""

@@ -101,7 +101,8 @@ def _of_effects(planner: Planner, probe: Probe, m: int, one: ModelMaterial) -> d
     """(P,) the error of leaving out each effect of a material, 0 at points of others."""
     names = effects.effects(one.model)
     constants = constants_of(planner.task.scene, m, one, planner.criteria.surfaces)
-    primitive, at = planner.criteria.surfaces.coordinates(*probe.places)
+    primitive, point = probe.places
+    at = planner.criteria.surfaces.coordinates(primitive, point)
     mine = np.flatnonzero(planner.criteria.surfaces.material[primitive] == m)
     errors = planner.criteria.sampled(
         primitive[mine], at[mine], one.model, [frozenset({name}) for name in names], constants,

@@ -60,8 +60,9 @@ def decision(effect: str, subject: str, found: Decision, gone: bool, sentence: s
     }  # fmt: skip
 
 
-def kept(name: str, effect: str, why: str) -> dict[str, Any]:
+def kept(subject: str, effect: str, sentence: str) -> dict[str, Any]:
+    """Of what nothing is proved."""
     return {
-        "effect": effect, "subject": name, "off": False, "state": "not-bounded", "bound": None, "found": 0.0,
-        "boxes": 0, "sentence": f"{name}: {why}",
+        "effect": effect, "subject": subject, "off": False, "state": "not-bounded", "bound": None,
+        "found": 0.0, "boxes": 0, "sentence": sentence,
     }  # fmt: skip

@@ -33,9 +33,7 @@ class Zoom:
     def __init__(self, found: Scene, floor: float) -> None:
         self.scene, self.floor = found, floor
         self.of = Integrator(found, Settings.everything(found), np.dtype(np.float64))
-        x, w = np.polynomial.legendre.leggauss(_LAMP)
-        x, w = 0.5 * (x + 1), 0.5 * w
-        self.lamp = [(a, b, p * q) for a, p in zip(x, w, strict=True) for b, q in zip(x, w, strict=True)]
+        self.lamp = lights.points(_LAMP)
 
     def largest(self, settings: Sequence[Settings], seed: int) -> FloatArray:
         """(N,) the largest errors met."""
@@ -71,11 +69,10 @@ class Zoom:
         every = [Settings.everything(scene), *settings]
         total = np.zeros((len(every), len(at), len(scene.spec.channels)))
         for k, lamp in enumerate(scene.lamps):
-            for s, t, share in self.lamp if lamp.kind == "area" else [(0.5, 0.5, 1.0)]:
-                u = jnp.broadcast_to(jnp.asarray([s, t]), (len(at), 2))
+            for where, share in self.lamp if lamp.kind == "area" else [(np.zeros((1, 2)), 1.0)]:
                 if lamp.kind == "area":
                     given = of.place[k], of.frame[k], of.half[k], of.level[k]
-                    arriving = lights.from_area(*given, hit.point, u)
+                    arriving = lights.from_area(*given, hit.point, jnp.asarray(where))
                 else:
                     one = lights.from_directional if lamp.kind == "directional" else lights.from_point
                     arriving = one(of.place[k], of.level[k], hit.point)

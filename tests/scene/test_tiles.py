@@ -63,7 +63,8 @@ def test_boxes_reach_the_tiles_that_points_are_in() -> None:
     assert not reached.all()
     # Coordinates on primitives are those of the points.
     surfaces = Surfaces(found)
-    primitive, at = surfaces.coordinates(np.asarray(hit.primitive)[shown], point)
+    primitive = np.asarray(hit.primitive)[shown]
+    at = surfaces.coordinates(primitive, point)
     from fitter.scene.boxes import Boxes
 
     at = np.concatenate([at, np.zeros_like(at)], axis=1)
