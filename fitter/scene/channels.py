@@ -21,6 +21,7 @@ from fitter.models import ReflectanceModel
 from fitter.models.base import SeparableModel
 from fitter.scene import wording
 from fitter.scene.assembly import Scene, chosen
+from fitter.scene.intervals import centre
 from fitter.scene.lights import Lamp
 from fitter.scene.materials import Material, ModelMaterial, TableMaterial
 from fitter.scene.search import Decision
@@ -126,7 +127,7 @@ def _scaled(low: float, high: float) -> tuple[float, float]:
     if not np.isfinite(high):
         return 1.0, np.inf
     # 4 roundings of the ends and of the factor itself; equal ends are exact but for those.
-    return 2.0 * low * high / (low + high), (high - low) / (high + low) + (0.0 if low == high else 1e-15)
+    return centre(low, high), (high - low) / (high + low) + (0.0 if low == high else 1e-15)
 
 
 def _ratio(scene: Scene, c: int, reference: int, bounces: int) -> Ratio:

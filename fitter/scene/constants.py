@@ -12,7 +12,7 @@ from fitter.scene import coats, effects, fresnel
 from fitter.scene.assembly import Scene
 from fitter.scene.boxes import Angles
 from fitter.scene.facets import as_facets
-from fitter.scene.intervals import Interval
+from fitter.scene.intervals import Interval, centre
 from fitter.scene.materials import Material, ModelMaterial
 from fitter.scene.search import hull
 from fitter.scene.surfaces import Surfaces
@@ -56,10 +56,6 @@ def constants_of(
     if "fresnel" in wanted:
         cosines = Interval.of(np.linspace(*over(cosine), 65))
     ranges = {"fresnel": reflected, "passage": passed}
-    found = {e: [_between(*ranges[e](k)) for k in range(len(model.channels))] for e in wanted}
+    found = {e: [centre(*ranges[e](k)) for k in range(len(model.channels))] for e in wanted}
     # As the kernels hold it.
     return {effect: np.asarray(x, np.float32).astype(np.float64) for effect, x in found.items()}
-
-
-def _between(low: float, high: float) -> float:
-    return 2 * low * high / (low + high) if high > 0 else 0.0

@@ -216,3 +216,8 @@ def about(a: Interval, c: Interval, z: Interval, turn: float) -> Interval:
     turned = cosine(Interval(theta[0] - phi - 2e-15, theta[1] - phi + 2e-15))
     slack = 8e-15 * r
     return Interval((turned.lo * r - slack).min(axis=0), (turned.hi * r + slack).max(axis=0))
+
+
+def centre(low: float, high: float) -> float:
+    """What is relatively as far from both ends, which are not negative: the largest such error is least."""
+    return 2 * low * high / (low + high) if high > 0 else 0.0
