@@ -116,12 +116,13 @@ def test_a_posterior_goes_on_where_the_server_was_killed(
     job = wait(first.client, first.client.post(
         "/v1/fits", json={"table": table, "model": "oren_nayar"}
     ).headers["location"])  # fmt: skip
-    wanted = {"fit": job["results"][0]["id"], "ess": 1_000_000, "walkers": 8, "budget_seconds": 20}
+    # It ends by its effective samples, many segments on: a slow machine spends any budget before it begins.
+    wanted = {"fit": job["results"][0]["id"], "ess": 20_000, "walkers": 8, "budget_seconds": 600}
     here = first.client.post("/v1/posteriors", json=wanted).headers["location"]
     kept = tmp_path / "data" / "checkpoints"
     end = time.monotonic() + 120
     while len(list(kept.glob("*/segment-*.npz"))) < 2:
-        assert time.monotonic() < end
+        assert time.monotonic() < end, first.client.get(here).json()
         time.sleep(0.005)
     first.end(signal.SIGKILL)
 
