@@ -36,10 +36,10 @@ class Blobs(NamedTuple):
         return (np.log(self.weight) - size)[:, None] - 0.5 * np.square(z).sum(axis=1)
 
 
-def blobs(x: FloatArray, rng: np.random.Generator) -> Blobs:
-    """The mixture that describes points x (N, P) best, judged by points that it has not seen."""
-    x = rng.permutation(x)
-    seen, unseen = x[::2], x[1::2]
+def blobs(x: FloatArray, half: NDArray[np.bool_], rng: np.random.Generator) -> Blobs:
+    """The mixture that describes points x (N, P) best, judged by points that it has not seen: it is fitted to
+    ``half`` (N,) of them. No walker's points are in both halves: it stays where it is for many steps."""
+    seen, unseen = x[half], x[~half]
     best, score = COUNTS[0], -np.inf
     for count in COUNTS:
         if count > 1 and len(seen) < POINTS * count * x.shape[1]:

@@ -209,15 +209,8 @@ def log_likelihood(layout: Layout, noise: Noise, y: Array, data: Data) -> Array:
     """Log-likelihood () of one vector y in the model's coordinates, and the log-prior of offsets, up to a
     constant."""
     c = data.value.shape[0]
-    names = [p.name for p in layout.linear]
-    linear = dict(zip(names, y[: len(names) * c].reshape(len(names), c), strict=True))
-    terms, u, rest = terms_at(layout, noise, y, data)
-    coefficients = layout.family.coefficients(layout.spec, linear, layout.nonlinear(u))
+    f, rest = values_at(layout, noise, y, data)
     prior = -0.5 * jnp.sum(jnp.square(rest[len(rest) - noise.offsets :]))
-    each = terms.swapaxes(0, 1) if layout.mixed else terms
-    # Written out: an einsum of these shapes becomes a matrix product ten times as slow.
-    f = sum((b[:, None] * term for b, term in zip(coefficients[1:], each[1:], strict=True)),
-            coefficients[0][:, None] * each[0])  # fmt: skip
     if data.sigma is not None:
         squares = jnp.square((data.value - f) / data.sigma)
         if noise.freedom is None:
@@ -229,6 +222,20 @@ def log_likelihood(layout: Layout, noise: Noise, y: Array, data: Data) -> Array:
     if noise.freedom is not None:
         squares = (noise.freedom + 1.0) * jnp.log1p(squares / noise.freedom)
     return prior - 0.5 * jnp.sum(squares + jnp.log(variance))
+
+
+def values_at(layout: Layout, noise: Noise, y: Array, data: Data) -> tuple[Array, Array]:
+    """The model's values (C, n) at a vector y in its coordinates, and what is in y behind its parameters."""
+    c = data.value.shape[0]
+    names = [p.name for p in layout.linear]
+    linear = dict(zip(names, y[: len(names) * c].reshape(len(names), c), strict=True))
+    terms, u, rest = terms_at(layout, noise, y, data)
+    coefficients = layout.family.coefficients(layout.spec, linear, layout.nonlinear(u))
+    each = terms.swapaxes(0, 1) if layout.mixed else terms
+    # Written out: an einsum of these shapes becomes a matrix product ten times as slow.
+    f = sum((b[:, None] * term for b, term in zip(coefficients[1:], each[1:], strict=True)),
+            coefficients[0][:, None] * each[0])  # fmt: skip
+    return f, rest
 
 
 def terms_at(layout: Layout, noise: Noise, y: Array, data: Data) -> tuple[Array, Array, Array]:

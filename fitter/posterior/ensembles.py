@@ -125,9 +125,11 @@ class Ensembles:
     def _fit_blobs(self, found: list[FloatArray], rng: np.random.Generator) -> None:
         """To the later half of what was seen: walkers and blobs find a posterior together."""
         every = np.concatenate(found)
-        late = every[len(every) // 2 :]
-        points = late if len(late) <= BLOB_POINTS else rng.choice(late, BLOB_POINTS, replace=False)
-        self.proposal = self.proposal._replace(blobs=blobs(self.free.into(points)[0], rng))
+        walker = np.arange(len(every)) % len(self.proposal.walkers)
+        late = np.arange(len(every) // 2, len(every))
+        chosen = rng.permutation(late)[:BLOB_POINTS]
+        points = self.free.into(every[chosen])[0]
+        self.proposal = self.proposal._replace(blobs=blobs(points, walker[chosen] % 2 == 0, rng))
 
     def _round(self, steps: int, log_density: FloatArray | None) -> tuple[FloatArray, FloatArray, float]:
         """Where the walkers were in the second half of these steps (N, P), their log-density at the end, and

@@ -12,7 +12,13 @@ samples are constants: where the noise is inferred, or not Gaussian, z is near n
 are as valid, since they go by the density of y times |dy/dv|.
 
 What else has bounds is the normal distribution function of its coordinate between them, which makes a normal
-of a coordinate that the samples say nothing of, or exp above a single one.
+of a coordinate that the samples say nothing of, or exp above a single one. Of an inferred noise
+sqrt((r f)^2 + e^2) the size is known, but seldom how much of it is relative: r and e lie on an arc. With t a
+typical value of the model
+
+    r t = s sin(p),    e = s cos(p),    s = exp(a),    p = pi/2 Phi(b),
+
+and a, b are its coordinates, unless it has ranges of its own.
 """
 
 from __future__ import annotations
@@ -30,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fitter.fitting.layout import Layout
-from fitter.posterior.density import Data, Density, Noise, terms_at
+from fitter.posterior.density import Data, Density, Noise, terms_at, values_at
 
 FloatArray = NDArray[np.float64]
 #: Of the precision's diagonal: terms that are the same on all samples have a solution, too.
@@ -54,6 +60,10 @@ class Free:
         two, one = self._two_ends, self._one_end
         v[:, two] = ndtri(np.clip((y - low)[:, two] / (high - low)[two], EDGE, 1.0 - EDGE))
         v[:, one] = np.log(np.maximum((y - low)[:, one], EDGE))
+        r, e = self._noise
+        relative, floor = y[:, r] * self._typical, y[:, e]
+        v[:, r] = np.log(np.maximum(np.hypot(relative, floor), EDGE * self._typical))
+        v[:, e] = ndtri(np.clip(np.arctan2(relative, floor) / (0.5 * math.pi), EDGE, 1.0 - EDGE))
         volume = self._volume(v)
         if k:
             best, root, linear = self._given(y)
@@ -69,6 +79,9 @@ class Free:
         two, one = self._two_ends, self._one_end
         y[:, two] = low[two] + (high - low)[two] * ndtr(v[:, two])
         y[:, one] = low[one] + np.exp(v[:, one])
+        r, e = self._noise
+        size, part = np.exp(v[:, r]), 0.5 * math.pi * ndtr(v[:, e])
+        y[:, r], y[:, e] = size * np.sin(part) / self._typical, size * np.cos(part)
         volume = self._volume(v)
         if k:
             best, root, linear = self._given(y)
@@ -105,14 +118,36 @@ class Free:
 
     @property
     def _bounded(self) -> NDArray[np.bool_]:
-        return np.arange(self.density.size) >= self.linear
+        index = np.arange(self.density.size)
+        return (index >= self.linear) & ~np.isin(index, self._noise)
+
+    @cached_property
+    def _noise(self) -> NDArray[np.intp]:
+        """(2, K) coordinates of the relative noise and of the floor where both can be anything."""
+        low, high = self._ends
+        density, c = self.density, self.density.channels
+        first = len(density.layout.linear) * c + len(density.layout.entries)
+        pairs = first + np.arange(0 if density.data.sigma is not None else 2 * c).reshape(2, -1)
+        return pairs[:, (low[pairs] == 0.0).all(axis=0) & np.isinf(high[pairs[1]])]
+
+    @cached_property
+    def _typical(self) -> FloatArray:
+        """(K,) of the model's values in these channels, at the density's centre."""
+        density = self.density
+        assert density.centre is not None
+        f = np.abs(np.asarray(_values(density.layout, density.noise, density.centre, density.on_device)))
+        every = np.array([np.median(own[own > 0.0]) if own.any() else 1.0 for own in f])
+        return every[self._noise[1] - (density.size - density.noise.offsets - len(every))]
 
     def _volume(self, v: FloatArray) -> FloatArray:
         """log |dy/dv| (W,) of the coordinates that have bounds."""
         low, high = self._ends
         two = v[:, self._two_ends]
         found = -0.5 * np.square(two).sum(axis=1) + v[:, self._one_end].sum(axis=1)
-        return found + np.log((high - low)[self._two_ends] / math.sqrt(2.0 * math.pi)).sum()
+        found += np.log((high - low)[self._two_ends] / math.sqrt(2.0 * math.pi)).sum()
+        size, part = v[:, self._noise[0]], v[:, self._noise[1]]
+        each = 2.0 * size - 0.5 * np.square(part) + np.log(math.sqrt(0.125 * math.pi) / self._typical)
+        return found + each.sum(axis=1)
 
     def _by_channel(self, y: FloatArray) -> FloatArray:
         return y[:, : self.linear].reshape(len(y), -1, self.density.channels).swapaxes(1, 2)
@@ -133,6 +168,11 @@ class Free:
     @cached_property
     def _weight_on_device(self) -> Array:
         return jax.device_put(self.weight)
+
+
+@functools.partial(jax.jit, static_argnames=("layout", "noise"))
+def _values(layout: Layout, noise: Noise, y: Array, data: Data) -> Array:
+    return values_at(layout, noise, y, data)[0]
 
 
 @functools.partial(jax.jit, static_argnames=("layout", "noise"))

@@ -91,3 +91,17 @@ def test_p07_a_floor_of_noise_near_zero():
     floors = post.draws[:, [k for k, label in enumerate(post.labels) if label.startswith("noise_floor")]]
     assert (floors >= 0).all()
     assert (floors.min(axis=0) < 0.1 * floors.mean(axis=0)).all()
+
+
+def test_p09_noise_that_is_relative_or_a_floor():
+    """Values that are nearly all the same do not tell how much of their noise is relative."""
+    model = models.create("oren_nayar", rho=[0.3, 0.4, 0.5], sigma=0.1)
+    table = scattered(model, seed=3, n=150, noise=0.3)
+    post = fitter.posterior(table, fitter.fit(table, "lambert"), **{**QUICK, "budget_seconds": 300.0})
+    assert post.status == "converged", post.message
+    assert post.acceptance > 0.3
+    part = [post.draws[:, post.labels.index(f"{name}[R]")] for name in ("relative_noise", "noise_floor")]
+    # On an arc: its middle is farther from 0 than the mean of each.
+    size = np.hypot(part[0] * np.median(table.value[:, 0]), part[1])
+    assert size.std() < 0.2 * size.mean()
+    assert min(p.std() / p.mean() for p in part) > 0.3
