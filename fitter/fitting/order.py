@@ -93,6 +93,18 @@ class Swap:
         found[..., self.psi] += 0.5 * math.pi
         return found, order, sign
 
+    def across(self, u: FloatArray) -> FloatArray:
+        """Lobes' u (..., T) in their order reflected at its border, where the deltas are 45 deg from 0 on
+        average, by their name within it. At the border itself only the name changes: gammas of deltas below 0
+        turn, and psi goes on by a quarter turn. An involution that keeps volumes; u stays where it is if a
+        delta would lose its sign."""
+        size = np.abs(u[..., self.delta])
+        size = size - 2.0 * (size - 0.25 * math.pi).mean(axis=-1, keepdims=True)
+        beyond = u.copy()
+        beyond[..., self.delta] = np.copysign(size, u[..., self.delta])
+        possible = (size <= 0.5 * math.pi).all(axis=-1, keepdims=True)
+        return np.where(possible, self.apply(beyond)[0], u)
+
 
 def azimuths(layout: Layout) -> IntArray:
     """The entries of u that are azimuths of a surface's axes and free to go through a whole period."""

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fitter.fitting.layout import Layout
-from fitter.fitting.order import azimuths, ordered_axes, swaps
+from fitter.fitting.order import Swap, azimuths, ordered_axes, swaps
 from fitter.posterior.offsets import shifted
 
 FloatArray = NDArray[np.float64]
@@ -148,6 +148,23 @@ class Density:
         u = slice(first, first + len(self.layout.entries))
         y[..., u] = ordered_axes(self.layout, y[..., u], self.centre[u])
         return y
+
+    @property
+    def twins(self) -> list[Callable[[FloatArray], FloatArray]]:
+        """Involutions (W, P) -> (W, P) that lead to the other end of the one name: Lafortune's lobes whose
+        deltas are 45 deg away from 0 have two, a quarter turn apart, and what is near on the surface is far
+        in y. Other axes meet where they are equal, and the azimuth says nothing."""
+        if not self._named:
+            return []
+        first = len(self.layout.linear) * self.channels
+        u = slice(first, first + len(self.layout.entries))
+
+        def twin(swap: Swap, y: FloatArray) -> FloatArray:
+            y = y.copy()
+            y[:, u] = swap.across(y[:, u])
+            return self.renamed(y)
+
+        return [functools.partial(twin, swap) for swap in swaps(self.layout) if len(swap.delta)]
 
     @property
     def prior_range(self) -> tuple[FloatArray, FloatArray]:

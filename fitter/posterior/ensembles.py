@@ -171,10 +171,11 @@ class Ensembles:
 
     def _sampler(self) -> tuple[emcee.EnsembleSampler, Independence]:
         mean, covariance, _, found = self.proposal
+        density = self.density
         if found is None:
-            moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
+            moves = mixture(mean, covariance, self.count, density.lower, density.upper, density.twins)
         else:
-            moves = free_mixture(found, self.count, self.free)
+            moves = free_mixture(found, self.count, self.free, density.twins)
         sampler = emcee.EnsembleSampler(
             len(self.proposal.walkers), self.density.size, self.density, vectorize=True, moves=moves
         )

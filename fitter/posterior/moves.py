@@ -8,6 +8,7 @@ here is tested against targets of known spread.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import emcee
@@ -30,6 +31,9 @@ MIRRORS, NEAR = 5, 4.0
 #: of gamma = 1 cross between modes.
 SHARES = (0.8, 0.15, 0.05)
 FREE_SHARES = (0.6, 0.3, 0.1)
+#: Beside them, of each move to a twin.
+TWIN_SHARE = 0.05
+Twin = Callable[[FloatArray], FloatArray]
 
 
 class Coordinates(Protocol):
@@ -206,25 +210,40 @@ class DifferenceMove(emcee.moves.Move):
         return x[mine] + gamma * (1 + 1e-5 * random.standard_normal((*mine.shape, 1))) * difference
 
 
+class TwinMove(emcee.moves.Move):
+    """Metropolis-Hastings with the one vector that ``twin`` leads to, and back from: an involution that keeps
+    volumes (L. Tierney, "A note on Metropolis-Hastings kernels for general state spaces", Annals of Applied
+    Probability 8, 1998)."""
+
+    def __init__(self, twin: Twin) -> None:
+        self.twin = twin
+
+    def propose(self, model: Model, state: State) -> tuple[State, NDArray[np.bool_]]:
+        proposed = self.twin(state.coords)
+        found = model.compute_log_prob_fn(proposed)[0]
+        accepted = np.log(model.random.rand(len(proposed))) < found - state.log_prob
+        return self.update(state, State(proposed, log_prob=found), accepted), accepted
+
+
 def mixture(
     mode: FloatArray, covariance: FloatArray, ensembles: int, lower: FloatArray | float = -np.inf,
-    upper: FloatArray | float = np.inf,
-) -> list[tuple[Independence | DifferenceMove, float]]:  # fmt: skip
+    upper: FloatArray | float = np.inf, twins: Sequence[Twin] = (),
+) -> list[tuple[emcee.moves.Move, float]]:  # fmt: skip
     """Independence proposals mixed with differential evolution, which learns a shape that isn't normal.
 
-    lower, upper : bounds, beyond which the density is 0.
+    lower, upper : bounds, beyond which the density is 0. twins : see :class:`TwinMove`.
     """
     independence = IndependenceMove(mode, covariance, lower, upper)
     moves = (independence, DifferenceMove(ensembles), DifferenceMove(ensembles, 1.0))
-    return list(zip(moves, SHARES, strict=True))
+    return [*zip(moves, SHARES, strict=True), *((TwinMove(twin), TWIN_SHARE) for twin in twins)]
 
 
 def free_mixture(
-    found: Blobs, ensembles: int, coordinates: Coordinates
-) -> list[tuple[Independence | DifferenceMove, float]]:
+    found: Blobs, ensembles: int, coordinates: Coordinates, twins: Sequence[Twin] = ()
+) -> list[tuple[emcee.moves.Move, float]]:
     """The like of :func:`mixture` for a posterior of any shape, in coordinates without bounds."""
     moves = (
         BlobsMove(found, coordinates), DifferenceMove(ensembles, None, coordinates),
         DifferenceMove(ensembles, 1.0, coordinates),
     )  # fmt: skip
-    return list(zip(moves, FREE_SHARES, strict=True))
+    return [*zip(moves, FREE_SHARES, strict=True), *((TwinMove(twin), TWIN_SHARE) for twin in twins)]

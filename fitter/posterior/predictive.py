@@ -1,7 +1,7 @@
 """predictive: where a new measurement would fall, the model's misfit included.
 
 Near measured directions the misfit is known, and the band follows it, away from the model's own curve; far
-from them it is as wide as misfits are (:mod:`fitter.posterior.process`). A new direction beside measured ones
+from them it is as wide as misfits are (:mod:`fitter.posterior.bands`). A new direction beside measured ones
 and a scan at an incidence that was never measured are two questions, and have two bands.
 """
 
@@ -25,8 +25,9 @@ from fitter.fitting.blocks import padded
 from fitter.fitting.result import FitResult
 from fitter.models.labelled import place
 from fitter.models.padded import evaluated
+from fitter.posterior.bands import CONDITIONED_ON, chosen
 from fitter.posterior.jackknife import Robust, used_by
-from fitter.posterior.process import CONDITIONED_ON, Process, chosen
+from fitter.posterior.process import Process
 from fitter.selection.blocks import blocks
 from fitter.table import Table
 
@@ -44,12 +45,12 @@ New = Literal["directions", "scans"]
 class Predictive:
     """Bands of new measurements. template : the fitted model. covariance : (Q, Q) robust, of the free
     parameters ``labels``; what has no stated uncertainty has none here. processes : by what is new, and
-    channel; new scans only where the table has several."""
+    channel, several that the band is the mean of; new scans only where the table has several."""
 
     template: models.ReflectanceModel
     labels: tuple[str, ...]
     covariance: FloatArray
-    processes: Mapping[New, Sequence[Process]]
+    processes: Mapping[New, Sequence[Sequence[Process]]]
     seed: int
 
     def predict(
@@ -72,10 +73,10 @@ class Predictive:
         wi, wo = (np.atleast_2d(np.asarray(w, np.float64)) for w in (wi, wo))
         f, at = evaluated(self.template, wi, wo), features(wi, wo)
         moved = slopes(self.template, self.labels, self.covariance, wi, wo)
-        bands = [
-            process.band(f[:, c], at, moved[:, :, c], level) for c, process in enumerate(self.processes[new])
-        ]
-        lower, upper = (np.stack([band[end] for band in bands], axis=1) for end in (0, 1))
+        lower, upper = np.empty_like(f), np.empty_like(f)
+        for c, several in enumerate(self.processes[new]):
+            each = [one.band(f[:, c], at, moved[:, :, c], level) for one in several]
+            lower[:, c], upper[:, c] = np.mean(each, axis=0)
         return lower, upper
 
 

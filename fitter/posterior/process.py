@@ -4,21 +4,18 @@ Scaled residuals are correlated as Matern's with smoothness 3/2 and independent 
 C. Williams, "Gaussian Processes for Machine Learning", 2006, ch. 2 and 5). What the parameters' uncertainty
 does to the values is a part of the same process, linear in them.
 
-No one scale suits every table: misfits grow with the value, or by orders of magnitude, or live at one peak.
-So several are tried, and each says where every sample would lie that it was not told, alone (new directions)
-or with its whole scan (new scans). The one with the best interval score (T. Gneiting, A. Raftery 2007,
-eq. 43) is taken.
+A process says where every sample would lie that it was not told, alone (new directions) or with its whole
+scan (new scans), and is judged by the interval score of that (T. Gneiting, A. Raftery 2007, eq. 43).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize, special
+from scipy import linalg, special
 from scipy.spatial import KDTree
 
 from fitter.posterior.correlated import distances, matern
@@ -26,10 +23,6 @@ from fitter.student import coverage_factor
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
-#: Samples that the correlation is estimated from, and that the process is conditioned on, at most.
-ESTIMATED_FROM, CONDITIONED_ON = 350, 1_000
-#: Nearest neighbours whose residuals say how large they are here; 0: the scale alone does.
-NEIGHBOURS = (0, 8, 24)
 #: So many neighbours of unit size are added to them.
 PRIOR = 2.0
 #: Left-out samples of like value whose misses set the width, at least and as a share of all.
@@ -38,14 +31,11 @@ ALIKE, ALIKE_SHARE = 40, 0.1
 FEWEST = 4
 #: Bands are judged at this level.
 JUDGED_AT = 0.95
-RANGES = np.geomspace(0.05, 3.0, 18)
-SHARES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.97, 0.99, 0.997, 0.999)
+#: A new value is at most this many times the largest that was measured, or that the model expects: even if
+#: values had no mean, P(y > t) = 1/t, one in 2 n would lie beyond.
+LARGEST = 2.0
 #: Added to a unit diagonal before it is factorised.
 JITTER = 1e-8
-#: Residuals below this share of a typical value are rounding.
-ROUNDING = 1e-12
-#: The value below which asinh is linear rather than a logarithm: this quantile of the magnitudes.
-SMALL = 0.05
 
 
 @dataclass(frozen=True)
@@ -133,8 +123,9 @@ class Process:
     scale, nearby : what they are measured by. range, share : of the correlation, the rest being independent.
     deviation : of the residuals so measured. at : (n, 4) features that it is conditioned on, and slopes :
     (n, Q) what the parameters' principal directions do to the scaled values there. factor, weights : Cholesky
-    factor of the covariances there and its solution for the scaled residuals. misses : where they set the
-    width in place of the normal distribution. scans : how many there were, where a new scan is predicted.
+    factor of the covariances there and its solution for the scaled residuals. ends : the smallest value that
+    was measured, or 0, and the largest. misses : where they set the width in place of the normal
+    distribution. scans : how many there were, where a new scan is predicted.
     """
 
     scale: Scale
@@ -146,6 +137,7 @@ class Process:
     slopes: FloatArray
     factor: FloatArray
     weights: FloatArray
+    ends: tuple[float, float]
     misses: Misses | None = None
     scans: int | None = None
 
@@ -168,7 +160,13 @@ class Process:
     def _around(
         self, f: FloatArray, near: FloatArray, mean: FloatArray, half: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        return self.scale.value(near * (mean - half), f), self.scale.value(near * (mean + half), f)
+        least, most = self.ends[0], LARGEST * np.maximum(self.ends[1], f)
+        lower, upper = (self.scale.value(near * (mean + side * half), f) for side in (-1.0, 1.0))
+        # A band that is beyond as a whole knows nothing.
+        beyond = (upper <= least) | (lower >= most)
+        return (
+            np.where(beyond, least, np.maximum(lower, least)), np.where(beyond, most, np.minimum(upper, most))
+        )  # fmt: skip
 
     def misfits(self, scan: IndexArray | None) -> tuple[FloatArray, FloatArray]:
         """How far each scaled residual (n,) that it is conditioned on is from where the others, or those of
@@ -233,59 +231,9 @@ def interval_score(lower: FloatArray, upper: FloatArray, y: FloatArray) -> float
     return float(np.mean(upper - lower + 2.0 / (1.0 - JUDGED_AT) * outside))
 
 
-def chosen(
-    y: FloatArray, f: FloatArray, at: FloatArray, moved: FloatArray, scans: Sequence[IndexArray | None]
-) -> list[list[Process]]:
-    """The best process of each channel (C) for each of ``scans``: None, or the (n,) scan of every sample.
-
-    y, f : (n, C) measured and fitted values in random order, at features (n, 4). moved : (m, Q, C) what the
-    parameters do to the first of them, at most ``CONDITIONED_ON``.
-    """
-    used, few = min(CONDITIONED_ON, len(y)), min(ESTIMATED_FROM, len(y))
-    tried = [
-        [one for scale in _scales(own, fitted) for one in _measured(scale, own, fitted, at)]
-        for own, fitted in zip(y.T, f.T, strict=True)
-    ]
-    columns = np.stack([z[:few] for channel in tried for _, _, z in channel], axis=1)
-    correlations = iter(_likeliest(columns, distances(at[:few], at[:few])))
-    distance = distances(at[:used], at[:used])
-    found: list[list[Process]] = []
-    for c, channel in enumerate(tried):
-        conditioned = [
-            _conditioned(
-                scale, nearby, z[:used], f[:used, c], at[:used], moved[:, :, c], distance, *next(correlations)
-            )
-            for scale, nearby, z in channel
-        ]
-        found.append([])
-        for scan in scans:
-            judged = [
-                one.left_out(y[:used, c], f[:used, c], scan) for one in conditioned
-            ]
-            found[-1].append(min(judged, key=lambda pair: pair[1])[0])
-    return found
-
-
-def _scales(y: FloatArray, f: FloatArray) -> tuple[Scale, Scale]:
-    typical = max(float(np.median(np.abs(f))), 1e-300)
-    small = max(float(np.quantile(np.abs(y), SMALL)), ROUNDING * typical)
-    logarithmic = Scale(1.0, small, asinh=True)
-    spread = float(np.sqrt(np.mean(np.square(logarithmic.scaled(y, f)))))
-    return _likeliest_scale(y - f, f), replace(logarithmic, relative=max(spread, ROUNDING))
-
-
-def _measured(
-    scale: Scale, y: FloatArray, f: FloatArray, at: FloatArray
-) -> Iterator[tuple[Scale, Nearby, FloatArray]]:
-    z = scale.scaled(y, f)
-    for count in NEIGHBOURS:
-        nearby = Nearby(at, np.square(z), count)
-        yield scale, nearby, z / nearby.size(at)
-
-
-def _conditioned(
+def conditioned(
     scale: Scale, nearby: Nearby, z: FloatArray, f: FloatArray, at: FloatArray, moved: FloatArray,
-    distance: FloatArray, reach: float, share: float,
+    distance: FloatArray, reach: float, share: float, ends: tuple[float, float],
 ) -> Process:  # fmt: skip
     n = len(z)
     matrix = share * matern(distance / reach) + (1.0 - share + JITTER) * np.eye(n)
@@ -294,37 +242,4 @@ def _conditioned(
     own = moved / (scale.size(f) * nearby.size(at))[:, None]
     factor = np.asarray(np.linalg.cholesky(deviation**2 * matrix + own @ own.T), np.float64)
     weights = linalg.cho_solve((factor, True), z)
-    return Process(scale, nearby, reach, share, deviation, at, own, factor, weights)
-
-
-def _likeliest_scale(residual: FloatArray, f: FloatArray) -> Scale:
-    """r and e of the scale sqrt((r f)^2 + e^2), by maximum likelihood of independent normal residuals."""
-    typical = max(float(np.median(np.abs(f))), 1e-300)
-    unit = np.square(residual / typical)
-    level = np.square(f / typical)
-
-    def loss(logs: FloatArray) -> float:
-        variance = np.exp(2.0 * logs[0]) * level + np.exp(2.0 * logs[1]) + ROUNDING**2
-        return float(np.mean(unit / variance + np.log(variance)))
-
-    begin = np.log(max(float(np.sqrt(np.mean(unit))), ROUNDING)) + np.array([-0.5, -1.0])
-    found = optimize.minimize(loss, begin, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6})
-    relative, floor = np.exp(found.x)
-    return Scale(float(relative), float(np.hypot(floor, ROUNDING) * typical))
-
-
-def _likeliest(z: FloatArray, distance: FloatArray) -> list[tuple[float, float]]:
-    """Range and share of the correlation under which scaled residuals (n, K) are likeliest, their size taken
-    out, by column. One decomposition of a field serves all shares and columns."""
-    n, columns = z.shape
-    best, chosen = np.full(columns, -np.inf), [(float(RANGES[0]), 0.0)] * columns
-    for reach in RANGES:
-        values, vectors = np.linalg.eigh(matern(distance / reach))
-        squared = np.square(vectors.T @ z)
-        for share in SHARES:
-            spectrum = share * np.maximum(values, 0.0) + 1.0 - share + JITTER
-            sums = np.maximum((squared / spectrum[:, None]).sum(axis=0), 1e-300)
-            likelihood = -0.5 * (n * np.log(sums) + np.log(spectrum).sum())
-            for c in np.flatnonzero(likelihood > best):
-                best[c], chosen[c] = likelihood[c], (float(reach), share)
-    return chosen
+    return Process(scale, nearby, reach, share, deviation, at, own, factor, weights, ends)

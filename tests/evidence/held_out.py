@@ -73,7 +73,8 @@ def judge(name: str, share: float, seed: int) -> Outcome:
         score = float(mean["score"])
         figures |= {
             f"{kind}: cover": float(mean["cover"]), f"{kind}: naive": float(mean["naive"]),
-            f"{kind}: within": well, f"{kind}: score": score, f"{kind}: brightest": float(mean["bright"]),
+            f"{kind}: within": well, f"{kind}: score": score, f"{kind}: seen": float(mean["seen"]),
+            f"{kind}: brightest": float(mean["bright"]),
             f"{kind}: thirds": " ".join(f"{third:.2f}" for third in mean["thirds"]),
         }  # fmt: skip
         wanted = {"within": (well, 0.8), "better score than": (0.5 if kind == "random" else 1.0, score)}
@@ -124,20 +125,29 @@ def _held(
         f = np.asarray(fit.model.evaluate(wi, wo))
         r, e = _relative_and_floor(part, fit)
         plain = 1.96 * np.hypot(r * f, e)
+        below, above = f - plain, f + plain
         inside, bright = (y >= lower) & (y <= upper), y >= np.quantile(y, 0.95)
+        seen = y <= part.value.max()
         # From the peak down.
         third = np.array_split(inside[np.argsort(-f[:, 0])], 3)
         rows.append(
             [
-                float(inside.mean()), float((np.abs(y - f) <= plain).mean()), float(inside[bright].mean()),
-                _score(lower, upper, y), _score(f - plain, f + plain, y), *(float(t.mean()) for t in third),
+                float(inside.mean()), float(((y >= below) & (y <= above)).mean()),
+                float(inside[bright].mean()),
+                _score(lower, upper, y), _score(below, above, y),
+                _score(lower[seen], upper[seen], y[seen]), _score(below[seen], above[seen], y[seen]),
+                *(float(t.mean()) for t in third),
             ]
         )  # fmt: skip
     if not rows:
         return [], disowned
-    cover, naive, bright, ours, theirs, *thirds = np.mean(rows, axis=0).tolist()
-    mean = {"cover": cover, "naive": naive, "bright": bright, "score": ours / theirs, "thirds": thirds}
-    return [mean], disowned
+    cover, naive, bright, ours, theirs, ours_seen, theirs_seen, *thirds = np.mean(rows, axis=0).tolist()
+    return [
+        {
+            "cover": cover, "naive": naive, "bright": bright, "score": ours / theirs,
+            "seen": ours_seen / theirs_seen, "thirds": thirds,
+        }
+    ], disowned  # fmt: skip
 
 
 def _relative_and_floor(part: Table, fit: fitter.FitResult) -> tuple[float, float]:
@@ -195,7 +205,8 @@ STUDY = Study(
         "90 % on 80 % of tables, with a lower score than theirs; fits to disjoint scans agree within their "
         "robust 95 % intervals in 90 % of the parameters of tables with ten scans or more. "
         "(disowned: fits that say of themselves that they did not converge or are not identified, left out; "
-        "naive: coverage of relative noise and a floor; thirds: of ours where the model is brightest, "
+        "naive: coverage of relative noise and a floor; seen: the score of those no brighter than "
+        "the brightest that was fitted; thirds: of ours where the model is brightest, "
         "in between, and darkest; independent: how many agree where residuals are taken as "
         "independent)"
     ),
@@ -205,7 +216,7 @@ STUDY = Study(
         *(
             f"{kind}: {what}"
             for kind in ("random", "scans")
-            for what in ("cover", "naive", "within", "score", "brightest", "thirds")
+            for what in ("cover", "naive", "within", "score", "seen", "brightest", "thirds")
         ),
         "halves agree",
         "independent",

@@ -9,7 +9,7 @@ import fitter
 from fitter import Table, models
 from fitter.errors import SpecError
 from fitter.posterior import predictive, process, robust
-from fitter.posterior.predictive import slopes
+from fitter.posterior.predictive import features, slopes
 from tests.posterior.test_jackknife import scans
 
 
@@ -84,7 +84,7 @@ def test_what_is_left_out_is_predicted_as_if_it_had_not_been_there(by_scan: bool
     scale = process.Scale(0.3, 0.05)
     z, nearby = scale.scaled(y, f), process.Nearby(at, np.zeros(n), 0)
     distance = np.linalg.norm(at[:, None] - at[None], axis=2)
-    whole = process._conditioned(scale, nearby, z, f, at, moved, distance, 0.5, 0.8)
+    whole = process.conditioned(scale, nearby, z, f, at, moved, distance, 0.5, 0.8, (0.0, 1.0))
     off, deviation = whole.misfits(scan if by_scan else None)
     root3 = np.sqrt(3) * distance / 0.5
     field = 0.8 * (1 + root3) * np.exp(-root3) + (0.2 + process.JITTER) * np.eye(n)
@@ -107,6 +107,46 @@ def test_misses_set_the_width_where_they_are():
     # The 39th of 40 neighbours: 38.95 = 0.95 x 41 rounded up.
     assert low == np.sort(miss[20:60])[38]
     assert high > 3.3
+
+
+def _spread_by_orders(ends: tuple[float, float]) -> process.Process:
+    """Values about f = 1 that differ by factors of 1000 either way, on a logarithmic scale."""
+    rng = np.random.default_rng(8)
+    at, f, y = rng.random((60, 4)), np.ones(60), 10.0 ** rng.uniform(-3, 3, 60)
+    scale = process.Scale(3.0, 1e-3, asinh=True)
+    distance = np.linalg.norm(at[:, None] - at[None], axis=2)
+    nearby = process.Nearby(at, np.zeros(60), 0)
+    return process.conditioned(
+        scale, nearby, scale.scaled(y, f), f, at, np.zeros((60, 0)), distance, 0.2, 0.5, ends
+    )
+
+
+def test_bands_end_where_values_do():
+    """At 0 or the smallest value, and at twice the largest that was measured or that the model expects."""
+    at = np.full((3, 4), 50.0) + np.arange(3)[:, None]
+    for ends in ((0.0, 40.0), (-0.5, 40.0)):
+        lower, upper = _spread_by_orders(ends).band(np.array([1.0, 39.0, 70.0]), at, np.zeros((3, 0)), 0.95)
+        assert (lower >= ends[0]).all()
+        np.testing.assert_allclose(upper, [80.0, 80.0, 140.0])
+    # As a whole beyond: the range, and not a point.
+    lower, upper = _spread_by_orders((0.0, 1e-9))._around(
+        np.array([1e-3]), np.ones(1), np.array([9.0]), np.array([0.1])
+    )
+    assert (lower[0], upper[0]) == (0.0, 2e-3)
+
+
+def test_the_ends_of_a_band_are_the_mean_of_those_that_left_out_samples_chose():
+    table, _ = missed(5)
+    fit = fitter.fit(table, "ward")
+    found = predictive(table, fit, seed=6)
+    several = found.processes["directions"][0]
+    assert len(several) == 3
+    assert len({(one.scale.asinh, one.nearby.count) for one in several}) == 3
+    wi, wo = table.wi[:9], table.wo[:9]
+    f = np.asarray(fit.model.evaluate(wi, wo))[:, 0]
+    moved = slopes(fit.model, found.labels, found.covariance, wi, wo)[:, :, 0]
+    each = [one.band(f, features(wi, wo), moved, 0.95) for one in several]
+    np.testing.assert_allclose(np.stack(found.predict(wi, wo))[:, :, 0], np.mean(each, axis=0), rtol=1e-9)
 
 
 def test_scans_as_yet_unmeasured_need_several_measured_ones():
