@@ -16,7 +16,7 @@ from fitter.posterior.offsets import shifted, tangents
 from tests.fitting.conftest import scattered
 from tests.posterior.test_jackknife import gained
 
-QUICK = {"rhat": 1.05, "ess": 400, "budget_seconds": 60.0, "seed": 5}
+QUICK = {"rhat": 1.05, "ess": 400, "budget_seconds": 300.0, "seed": 5}
 TRUTH = {"kd": 0.2, "ks": 0.06, "alpha": 0.15}
 
 

@@ -15,7 +15,7 @@ from fitter.posterior.diagnostics import diagnose
 from fitter.posterior.moves import DifferenceMove, IndependenceMove, mixture
 from tests.fitting.conftest import TRUTHS, scattered
 
-QUICK = {"rhat": 1.05, "ess": 400, "budget_seconds": 60.0, "seed": 5}
+QUICK = {"rhat": 1.05, "ess": 400, "budget_seconds": 300.0, "seed": 5}
 
 
 @pytest.fixture(scope="module")
