@@ -40,11 +40,14 @@ class Scale:
         return self.step == 0
 
     def steps(self, value: FloatArray) -> FloatArray:
-        """(N, C) of values (N, C)."""
-        return value if self.exact else scale.logarithms(value, self.floor) / self.step
+        """(N, C) of values (N, C), as rounding takes them to have values without a mean error."""
+        if self.exact:
+            return value
+        y = scale.logarithms(value, self.floor)
+        return (y - scale.lift(y, self.step)) / self.step
 
     def values(self, steps: FloatArray) -> FloatArray:
-        """Inverse of :meth:`steps`."""
+        """(N, C) what steps (N, C) are decoded to."""
         return steps if self.exact else scale.values(steps * self.step, self.floor)
 
 

@@ -41,6 +41,13 @@ def logarithms(value: FloatArray, floor: FloatArray) -> FloatArray:
     return np.where(np.isfinite(value), np.copysign(y, value), value)
 
 
+def lift(logarithm: FloatArray, step: float) -> FloatArray:
+    """What errors that are uniform over ``step`` add to logarithms y in the mean of the values: |f| + floor
+    by a factor sinh(h) / h, with h = step / 2. About 0, where errors change the sign, nothing."""
+    h = 0.5 * step
+    return float(np.log(np.sinh(h) / h)) * np.clip(logarithm / h, -1.0, 1.0)
+
+
 def values(logarithm: FloatArray, floor: FloatArray) -> FloatArray:
     """Inverse of :func:`logarithms`."""
     y = np.abs(logarithm)
