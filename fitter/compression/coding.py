@@ -45,7 +45,7 @@ class Scale:
 
     def values(self, steps: FloatArray) -> FloatArray:
         """Inverse of :meth:`steps`."""
-        return steps if self.exact else scale.values(steps * self.step, self.floor)
+        return steps if self.exact else scale.values(steps.T, self.step, self.floor)
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,8 @@ def _fixed(value: FloatArray, steps: FloatArray, used: Scale) -> tuple[FloatArra
     wanted = scale.logarithms(target[:, None], floor[:, None])[:, 0] / used.step
     away = np.rint(wanted - start)
     away = np.where(np.abs(away) < _MOST_STEPS, away, 0.0)
-    moved = scale.values((start + away)[:, None] * used.step, floor[:, None])
     # One at a time, each with the floor of its own channel.
+    moved = scale.values((start + away)[:, None], used.step, floor).T
     error = scale.error_in_bounds(target[:, None], moved, floor[:, None], used.tolerance)
     good = np.abs(error[:, 0]) <= 1.0
     flat = decoded.reshape(-1)
@@ -196,13 +196,18 @@ def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
     channels = len(used.floor)
     shape = (channels, *box.shape)
     coded, bits, others, *fixes = unpack_parts(block.data, 7)
-    good = np.ones(shape, bool)
+    good = None
     if bits:
-        good = np.unpackbits(np.frombuffer(bits, np.uint8), count=good.size).reshape(shape).astype(bool)
-    steps = unpack_array(coded, "<f8", shape) if used.exact else tile.decode(coded, good)
-    steps = np.moveaxis(steps, 0, -1)
-    value = np.ascontiguousarray(used.values(steps))
-    if bits:
+        flags = np.unpackbits(np.frombuffer(bits, np.uint8), count=int(np.prod(shape)))
+        good = flags.astype(bool).reshape(shape)
+    if used.exact:
+        steps = unpack_array(coded, "<f8", shape)
+        value = np.ascontiguousarray(np.moveaxis(steps, 0, -1))
+    else:
+        steps = tile.decode(coded, shape, good)
+        value = scale.values(steps.reshape(channels, -1), used.step, used.floor)
+        value = value.reshape(*shape[1:], channels)
+    if good is not None:
         np.moveaxis(value, -1, 0)[~good] = np.frombuffer(others, "<f8")
     stepped, moves, raw, content = (
         _unsparse(data, kind) for data, kind in zip(fixes, ("<i8", "<i8", "<i8", "<f8"), strict=True)
@@ -212,8 +217,8 @@ def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
         where = folds.stored(stepped // channels)
         inside = tuple(i - start for i, start in zip(where, box.start, strict=True))
         channel = stepped % channels
-        moved = (steps[(*inside, channel)] + moves)[:, None] * used.step
-        content = np.concatenate([scale.values(moved, used.floor[channel][:, None])[:, 0], content])
+        moved = (steps[(channel, *inside)] + moves)[:, None]
+        content = np.concatenate([scale.values(moved, used.step, used.floor[channel])[0], content])
     index = np.concatenate([stepped, raw])
     order = np.argsort(index)
     return Tile(box, value, index[order], content[order])

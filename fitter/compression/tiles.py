@@ -86,9 +86,15 @@ class Tiles:
     def all(self) -> tuple[FloatArray, BoolArray]:
         """(N, C) all values, NaN in damaged blocks, and (N,) where that is."""
         samples, channels = self.shape
+        names = self.names
+        if self.count == len(names) == 1:
+            tile = self._kept.get(names[0]) or coding.decode(self.blocks[names[0]], self.scale, self.folds)
+            value = self.folds.spread(tile.value).reshape(samples, channels)
+            value = value.copy() if names[0] in self._kept else value
+            value.reshape(-1)[tile.fixed] = tile.replaced
+            return value, np.zeros(samples, bool)
         stored = np.full((*self.folds.shape, channels), np.nan)
         lost = np.ones(self.folds.shape, bool)
-        names = self.names
         fixed: list[tuple[IntArray, FloatArray]] = []
 
         def unpack(part: slice) -> None:

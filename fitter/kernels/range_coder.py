@@ -18,8 +18,8 @@ Words = NDArray[np.uint32]
 
 _U = np.uint64
 #: Bits of a probability, of a word, and of the first look-up of a token.
-_PRECISION, _WORD, _FIRST = 24, 32, 8
-_ONE = 1 << _PRECISION
+PRECISION, WORD, FIRST = 24, 32, 8
+_ONE = 1 << PRECISION
 
 #: Where a message is read: lower end and width of the interval, the point in it, and the next word.
 Reader = tuple[np.uint64, np.uint64, np.uint64, int]
@@ -78,7 +78,7 @@ def cumulated(
                 ends[row, k] = _ONE
             bucket = 0
             for k in range(n):
-                while bucket < 1 << _FIRST and bucket << (_PRECISION - _FIRST) < np.int64(ends[row, k + 1]):
+                while bucket < 1 << FIRST and bucket << (PRECISION - FIRST) < np.int64(ends[row, k + 1]):
                     first[row, bucket] = k
                     bucket += 1
 
@@ -88,7 +88,7 @@ def opened(words: Words) -> Reader:
     """At the start of a message."""
     high = _U(words[0]) if len(words) > 0 else _U(0)
     low = _U(words[1]) if len(words) > 1 else _U(0)
-    return _U(0), ~_U(0), (high << _U(_WORD)) | low, 2
+    return _U(0), ~_U(0), (high << _U(WORD)) | low, 2
 
 
 @part
@@ -97,18 +97,18 @@ def token(
 ) -> tuple[Any, Reader]:
     """The next token, of the distribution ``row``; -1 for data that has none."""
     lower, wide, point, place = reader
-    scale = wide >> _U(_PRECISION)
+    scale = wide >> _U(PRECISION)
     quantile = (point - lower) // scale
     if quantile >= _U(_ONE):
         return -1, reader
-    found = np.int64(first[row, np.int64(quantile >> _U(_PRECISION - _FIRST))])
+    found = np.int64(first[row, np.int64(quantile >> _U(PRECISION - FIRST))])
     while _U(ends[row, found + 1]) <= quantile:
         found += 1
     left = _U(ends[row, found])
     lower += scale * left
     wide = scale * (_U(ends[row, found + 1]) - left)
-    if wide < _U(1 << _WORD):
-        lower, wide, point = lower << _U(_WORD), wide << _U(_WORD), point << _U(_WORD)
+    if wide < _U(1 << WORD):
+        lower, wide, point = lower << _U(WORD), wide << _U(WORD), point << _U(WORD)
         if place < len(words):
             point |= _U(words[place])
         place += 1
