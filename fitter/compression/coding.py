@@ -99,7 +99,7 @@ def _folded(value: FloatArray, shape: tuple[int, ...], used: Scale) -> tuple[Flo
     return fold(steps, exact=used.exact)
 
 
-def _encode_box(steps: FloatArray, exact: bool) -> tuple[list[bytes], FloatArray]:
+def _encode_box(steps: FloatArray, exact: bool) -> tuple[list[bytes], NDArray[np.floating[Any]]]:
     """The parts of a tile (C, *shape), and what it decodes to."""
     if exact:
         return [pack_array(steps), b"", b""], steps
@@ -208,7 +208,8 @@ def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
         value = scale.values(steps.reshape(channels, -1), used.step, used.floor)
         value = value.reshape(*shape[1:], channels)
     if good is not None:
-        np.moveaxis(value, -1, 0)[~good] = np.frombuffer(others, "<f8")
+        channel, node = np.divmod(np.flatnonzero(~good), good.size // channels)
+        value.reshape(-1)[node * channels + channel] = np.frombuffer(others, "<f8")
     stepped, moves, raw, content = (
         _unsparse(data, kind) for data, kind in zip(fixes, ("<i8", "<i8", "<i8", "<f8"), strict=True)
     )

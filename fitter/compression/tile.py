@@ -39,7 +39,7 @@ _FAULTS = {
 _Visit = Callable[[Stage, int, Seen], tuple[Numbers, Numbers, Numbers]]
 
 
-def encode(steps: FloatArray) -> tuple[bytes, FloatArray]:
+def encode(steps: FloatArray) -> tuple[bytes, Numbers]:
     """The tile (C, *shape) of numbers in steps, NaN where there is nothing to code, and what it decodes to.
 
     Where a correction would be too large to code there is none: the caller compares. Errors are as good as

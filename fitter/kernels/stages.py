@@ -21,9 +21,15 @@ IntArray = NDArray[np.int64]
 RUN = 512
 # Rows of the scratch array are apart by a constant: vector instructions need no proof then that what is
 # written is none of what is read. A few other arrays in a loop are proved to be apart, many are not.
-_WIDE = RUN + 16
-_MIXED, _NEAR, _SPREAD, _AROUND, _NEAR_ROW, _FAR_ROW, _UNREST_ROW, _SUM_ROW = (k * _WIDE for k in range(8))
+_WIDE = RUN + 48
+_MIXED, _NEAR, _SPREAD, _AROUND, _NEAR_ROW, _FAR_ROW, _UNREST_ROW, _SUM_ROW = (
+    np.uint64(k * _WIDE) for k in range(8)
+)
 SCRATCH = 8 * _WIDE
+_ONE, _THREE, _FOUR = np.uint64(1), np.uint64(3), np.uint64(4)
+#: Runs are worked on in multiples of this, for vector instructions: what is written beyond the end of one is
+#: written again by the next, and arrays of nodes have as many to spare.
+BLOCK = 16
 #: Nodes beyond a row's ends for which its own stand.
 _PAD = 2
 
@@ -35,7 +41,8 @@ def clamped(row: int, last: int) -> int:
 
 @part
 def mirrored(row: int, n: int) -> int:
-    row = (row + 2 * n * 4) % (2 * n)
+    """The row that stands for one up to two beyond the ends of two rows or more."""
+    row = -1 - row if row < 0 else row
     return row if row < n else 2 * n - 1 - row
 
 
@@ -87,16 +94,20 @@ def paired(
             known, error, a, a + inner, a + 2 * inner, a + 3 * inner, (o * count + 1) * inner,
             (stop - 1) * inner, near, far, slope, bend, unrest,
         )  # fmt: skip
-        for r in range(count):
-            if r < 1 or r >= stop:
-                between(
-                    known, error, (o * n + clamped(r - 1, n - 1)) * inner, (o * n + r) * inner,
-                    (o * n + clamped(r + 1, n - 1)) * inner, (o * n + clamped(r + 2, n - 1)) * inner,
-                    (o * count + r) * inner, inner, near, far, slope, bend, unrest,
-                )  # fmt: skip
+        for end in range(1 + count - min(stop, count)):
+            r = end + stop - 1 if end else 0
+            p, q = (o * n + clamped(r - 1, n - 1)) * inner, (o * n + r) * inner
+            u = (o * n + clamped(r + 1, n - 1)) * inner
+            v, to = (o * n + clamped(r + 2, n - 1)) * inner, (o * count + r) * inner
+            if inner > 1:
+                between(known, error, p, q, u, v, to, inner, near, far, slope, bend, unrest)
+            else:
+                steep = known[u] - known[q]
+                near[to], far[to], unrest[to] = known[q] + known[u], known[p] + known[v], error[q] + error[u]
+                slope[to], bend[to] = abs(steep), abs(known[v] - known[p] - steep)
 
 
-@routine
+@part
 def begun(near: Numbers, far: Numbers, at: int, count: int, factors: Numbers, b: Numbers) -> None:
     """The first terms of a run's prediction and signs."""
     u, f, g = np.uint64(at), factors[0], factors[1]
@@ -107,7 +118,7 @@ def begun(near: Numbers, far: Numbers, at: int, count: int, factors: Numbers, b:
         b[_AROUND + i] = b.dtype.type(0)
 
 
-@routine
+@part
 def beside(
     near: Numbers, far: Numbers, unrest: Numbers, ends: tuple[int, int, int, int], count: int,
     factors: Numbers, first: int, b: Numbers,
@@ -123,19 +134,19 @@ def beside(
         b[_AROUND + i] += unrest[p + i] + unrest[q + i]
 
 
-@routine
+@part
 def along(count: int, factors: Numbers, first: int, b: Numbers) -> None:
     """The same of the axis along the row, whose nodes and pads are in rows of their own."""
     f, g, h, half = factors[first], factors[first + 1], factors[first + 2], b.dtype.type(0.5)
     for i in range(np.uint64(count)):
-        total = b[_NEAR_ROW + 1 + i] + b[_NEAR_ROW + 3 + i]
-        found = b[_MIXED + i] + total * f + (b[_NEAR_ROW + i] + b[_NEAR_ROW + 4 + i]) * g
-        b[_MIXED + i] = found + (b[_FAR_ROW + 1 + i] + b[_FAR_ROW + 3 + i]) * h
+        total = b[_NEAR_ROW + _ONE + i] + b[_NEAR_ROW + _THREE + i]
+        found = b[_MIXED + i] + total * f + (b[_NEAR_ROW + i] + b[_NEAR_ROW + _FOUR + i]) * g
+        b[_MIXED + i] = found + (b[_FAR_ROW + _ONE + i] + b[_FAR_ROW + _THREE + i]) * h
         b[_SPREAD + i] += abs(total * half - b[_NEAR + i])
-        b[_AROUND + i] += b[_UNREST_ROW + 1 + i] + b[_UNREST_ROW + 3 + i]
+        b[_AROUND + i] += b[_UNREST_ROW + _ONE + i] + b[_UNREST_ROW + _THREE + i]
 
 
-@routine
+@part
 def diagonal(
     near: Numbers, ends: tuple[int, int, int, int], count: int, factor: Any, spreads: Any, b: Numbers
 ) -> None:
@@ -149,22 +160,22 @@ def diagonal(
         b[_SPREAD + i] += abs(total * half - b[_NEAR + i]) * spreads
 
 
-@routine
+@part
 def diagonal_along(count: int, factor: Any, spreads: Any, b: Numbers) -> None:
     """The same where the second one is along the row."""
     half = b.dtype.type(0.5)
     for i in range(np.uint64(count)):
-        total = b[_SUM_ROW + 1 + i] + b[_SUM_ROW + 3 + i]
+        total = b[_SUM_ROW + _ONE + i] + b[_SUM_ROW + _THREE + i]
         b[_MIXED + i] += total * factor
         b[_SPREAD + i] += abs(total * half - b[_NEAR + i]) * spreads
 
 
 @routine
 def padded(
-    values: Numbers, one: int, other: int, begin: int, count: int, row: int, to: int, b: Numbers
+    values: Numbers, one: int, other: int, begin: int, count: int, row: int, to: np.uint64, b: Numbers
 ) -> None:
     """Part of a row that starts at ``one``, or of the sum of two, with what is beyond its ends."""
-    u, v, w = np.uint64(one + begin), np.uint64(other + begin), np.uint64(to + _PAD)
+    u, v, w = np.uint64(one + begin), np.uint64(other + begin), to + np.uint64(_PAD)
     if one == other:
         for i in range(np.uint64(count)):
             b[w + i] = values[u + i]
@@ -174,10 +185,10 @@ def padded(
     for i in range(2 * _PAD):
         k = i - _PAD if i < _PAD else count + i - _PAD
         p = mirrored(begin + k, row)
-        b[to + _PAD + k] = values[one + p] if one == other else values[one + p] + values[other + p]
+        b[np.int64(to) + _PAD + k] = values[one + p] if one == other else values[one + p] + values[other + p]
 
 
-@routine
+@part
 def ended(
     unrest: Numbers, slope: Numbers, bend: Numbers, at: int, count: int, share: Any, shares: Numbers,
     b: Numbers, predicted: Numbers, width: Numbers,
@@ -192,7 +203,7 @@ def ended(
         predicted[u + i] = b[_MIXED + i]
 
 
-@routine
+@part
 def corrected_by(
     corrections: Numbers, row: int, at: int, count: int, factor: Any, share: Any, predicted: Numbers,
     width: Numbers,
@@ -230,37 +241,37 @@ def mixed(
     whole, nothing = near.dtype.type(1), near.dtype.type(0)
     final = 1 + 3 * others + others * (others - 1) // 2
     low, high = np.zeros((2, axes), np.int64), np.zeros((2, axes), np.int64)
-    at = 0
+    index = np.zeros(axes, np.int64)
+    at = begin = 0
     while at < nodes:
-        # Rows whose neighbours are all there are a run, unless those along the row count, too.
-        begin, rows, rest = at % row, 1, at // row
-        for k in range(last - 1, -1, -1):
-            index = rest % new[k]
-            rest //= new[k]
+        for k in range(last):
             if k != axis and new[k] > 1:
                 for s in range(2):
-                    low[s, k] = (mirrored(index - 1 - s, new[k]) - index) * strides[k]
-                    high[s, k] = (mirrored(index + 1 + s, new[k]) - index) * strides[k]
-                if k == last - 1 and index > 1:
-                    rows = max(new[k] - 2 - index, 1)
-            elif k == last - 1:
-                rows = new[k] - index
-        count = min(row - begin, RUN)
-        if not rows_count and begin == 0 and row <= RUN:
-            count = min(rows, RUN // row) * row
-        begun(near, far, at, count, factors, b)
+                    low[s, k] = (mirrored(index[k] - 1 - s, new[k]) - index[k]) * strides[k]
+                    high[s, k] = (mirrored(index[k] + 1 + s, new[k]) - index[k]) * strides[k]
+        # Rows whose neighbours are all there are a run, unless those along the row count, too.
+        rows, count = 1, min(row - begin, RUN)
+        if last > 0 and not rows_count and row <= RUN:
+            k = last - 1
+            rows = new[k] - index[k]
+            if k != axis and new[k] > 1:
+                rows = max(rows - 2, 1) if index[k] > 1 else 1
+            rows = min(rows, RUN // row)
+            count = rows * row
+        wide = (count + BLOCK - 1) // BLOCK * BLOCK
+        begun(near, far, at, wide, factors, b)
         first = 2
         for k in range(last):
             if k != axis and new[k] > 1:
                 ends = at + low[0, k], at + high[0, k], at + low[1, k], at + high[1, k]
-                beside(near, far, unrest, ends, count, factors, first, b)
+                beside(near, far, unrest, ends, wide, factors, first, b)
                 first += 3
         if rows_count:
             start = at - begin
             padded(near, start, start, begin, count, row, _NEAR_ROW, b)
             padded(far, start, start, begin, count, row, _FAR_ROW, b)
             padded(unrest, start, start, begin, count, row, _UNREST_ROW, b)
-            along(count, factors, first, b)
+            along(wide, factors, first, b)
             first += 3
         for j in range(last):
             if j != axis and new[j] > 1:
@@ -269,19 +280,28 @@ def mixed(
                     if k != axis and new[k] > 1:
                         ends = one + low[0, k], other + low[0, k], one + high[0, k], other + high[0, k]
                         spreads = whole if first % 3 == 2 and first < final else nothing
-                        diagonal(near, ends, count, factors[first], spreads, b)
+                        diagonal(near, ends, wide, factors[first], spreads, b)
                         first += 1
                 if rows_count:
                     padded(near, one - begin, other - begin, begin, count, row, _SUM_ROW, b)
                     spreads = whole if first % 3 == 2 and first < final else nothing
-                    diagonal_along(count, factors[first], spreads, b)
+                    diagonal_along(wide, factors[first], spreads, b)
                     first += 1
-        ended(unrest, slope, bend, at, count, share, shares, b, predicted, width)
+        ended(unrest, slope, bend, at, wide, share, shares, b, predicted, width)
         for k in range(before):
             corrected_by(
-                corrections, k * nodes, at, count, factors[first + k], shares[6 + k], predicted, width
+                corrections, k * nodes, at, wide, factors[first + k], shares[6 + k], predicted, width
             )
         at += count
+        begin += count
+        if begin >= row:
+            begin = 0
+            if last > 0:
+                index[last - 1] += rows
+            for k in range(last - 1, 0, -1):
+                if index[k] == new[k]:
+                    index[k] = 0
+                    index[k - 1] += 1
 
 
 @routine

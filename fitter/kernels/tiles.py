@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fitter.kernels import compiled, interleaved, part, range_coder, routine
 from fitter.kernels.range_coder import Reader, Words
-from fitter.kernels.stages import SCRATCH, IntArray, Numbers, dithered, inside, mixed, paired, woven
+from fitter.kernels.stages import BLOCK, SCRATCH, IntArray, Numbers, dithered, inside, mixed, paired, woven
 
 Bytes = NDArray[np.uint8]
 
@@ -190,7 +190,7 @@ def decoded(
     for c in range(channels):
         known[c] = start[c]
     # A stage's nodes are half of all at most.
-    half = max(each // 2, 1)
+    half = max(each // 2, 1) + BLOCK
     seen = np.empty((5, half), start.dtype)
     near, far, slope, bend, unrest = seen[0], seen[1], seen[2], seen[3], seen[4]
     scratch = np.empty(SCRATCH, start.dtype)
