@@ -79,7 +79,8 @@ def decode(
     if version not in READ:
         raise TableError(
             f"the container has version {version}, this library reads {READ[0]} and {READ[1]}",
-            code="compressed-version", file=file, offset=len(MAGIC), remedy="use the version of brdf-fitter that wrote it",
+            code="compressed-version", file=file, offset=len(MAGIC),
+            remedy="use the version of brdf-fitter that wrote it",
         )  # fmt: skip
     text = data[_PREFIX.size : _PREFIX.size + length]
     if len(text) < length or zlib.crc32(text) != crc:
