@@ -185,14 +185,28 @@ class Tile:
 
 def decode(block: Block, used: Scale, folds: Folds) -> Tile:
     """The tile of a block. Raises TableError that names it where its content makes no sense."""
+    box = place(block, folds)
     try:
-        return _decode(block, used, folds)
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+        return _decode(block, box, used, folds)
+    except ValueError as error:  # and nothing else: a kernel that can't be compiled is no damage
         raise damaged(f"block {block.name!r} can't be unpacked ({error})", None, block.name) from error
 
 
-def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
-    box = Box(tuple(block.about["start"]), tuple(block.about["stop"]))
+def place(block: Block, folds: Folds) -> Box:
+    """Where a block's tile is among what is stored. Raises TableError where that is nowhere."""
+    ends = block.about.get("start"), block.about.get("stop")
+    try:
+        start, stop = (np.array(end, np.int64) for end in ends)
+        fits = start.shape == stop.shape == (len(folds.shape),)
+        fits = fits and bool(((start >= 0) & (start < stop) & (stop <= folds.shape)).all())
+    except (TypeError, ValueError, OverflowError):
+        fits = False
+    if not fits:
+        raise damaged(f"block {block.name!r} is from {ends[0]} to {ends[1]}, which is no tile", None, block.name)
+    return Box(tuple(start.tolist()), tuple(stop.tolist()))
+
+
+def _decode(block: Block, box: Box, used: Scale, folds: Folds) -> Tile:
     channels = len(used.floor)
     shape = (channels, *box.shape)
     coded, bits, others, *fixes = unpack_parts(block.data, 7)
@@ -209,17 +223,31 @@ def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
         value = value.reshape(*shape[1:], channels)
     if good is not None:
         channel, node = np.divmod(np.flatnonzero(~good), good.size // channels)
-        value.reshape(-1)[node * channels + channel] = np.frombuffer(others, "<f8")
+        kept = np.frombuffer(others, "<f8")
+        if len(kept) != len(node):
+            raise ValueError(f"{len(kept)} numbers for {len(node)} nodes")
+        value.reshape(-1)[node * channels + channel] = kept
     stepped, moves, raw, content = (
         _unsparse(data, kind) for data, kind in zip(fixes, ("<i8", "<i8", "<i8", "<f8"), strict=True)
     )
     stepped, raw = np.cumsum(stepped), np.cumsum(raw)
+    if len(stepped) != len(moves) or len(raw) != len(content):
+        raise ValueError("its fixed values are not as many as their places")
+    inside = _inside(stepped // channels, box, folds)
+    _inside(raw // channels, box, folds)
     if len(stepped):
-        where = folds.stored(stepped // channels)
-        inside = tuple(i - start for i, start in zip(where, box.start, strict=True))
         channel = stepped % channels
         moved = (steps[(channel, *inside)] + moves)[:, None]
         content = np.concatenate([scale.values(moved, used.step, used.floor[channel])[0], content])
     index = np.concatenate([stepped, raw])
     order = np.argsort(index)
     return Tile(box, value, index[order], content[order])
+
+
+def _inside(samples: IntArray, box: Box, folds: Folds) -> tuple[NDArray[np.intp], ...]:
+    """Rows of a tile, one (n,) for each axis, of the table's samples (n,). Raises ValueError for others'."""
+    where = folds.stored(samples)
+    for i, start, stop in zip(where, box.start, box.stop, strict=True):
+        if ((i < start) | (i >= stop)).any():
+            raise ValueError("it fixes values of another tile")
+    return tuple(i - start for i, start in zip(where, box.start, strict=True))

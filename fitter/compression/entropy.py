@@ -25,6 +25,8 @@ DIRECT, MANTISSA = 32, 3
 #: Largest magnitude that is coded at all.
 LARGEST = 1 << 30
 _FIRST_OCTAVE = 5
+#: What a class may be: a byte.
+_CLASSES = 256
 _TOKENS = DIRECT + (32 - _FIRST_OCTAVE) * (1 << MANTISSA)
 #: Exponents m of the distributions, by their number.
 EXPONENTS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0)
@@ -110,12 +112,14 @@ def tables(
 ) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.uint8]]:
     """For :func:`fitter.kernels.tiles.decoded`: which of the distributions (D, 4) each class (256,) has, -1
     for none, their cumulated probabilities and first tokens. Raises ValueError for an exponent that there is
-    not."""
+    not, and for more distributions than classes: a forged table must not fill the memory."""
     from fitter.kernels.range_coder import cumulated
 
+    if len(rows) > _CLASSES:
+        raise ValueError("more distributions than classes")
     if len(rows) and int(rows[:, 2].max()) >= len(EXPONENTS):
         raise ValueError("a distribution with an exponent that there is not")
-    which = np.full(256, -1)
+    which = np.full(_CLASSES, -1)
     which[rows[:, 0]] = np.arange(len(rows))
     middle, width = _buckets()
     top = min(max(2, 1 + int(rows[:, 3].max(initial=0))), len(middle))

@@ -13,7 +13,6 @@ from fitter.compression import coding
 from fitter.compression.coding import Scale, Tile
 from fitter.compression.container import Block, damaged
 from fitter.compression.folds import Folds
-from fitter.compression.tile import Box
 from fitter.parts import in_parts
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +61,7 @@ class Tiles:
         found = np.empty((len(index), channels))
         missing = np.ones(len(index), bool)
         for name in self.names:
-            box = _box(self.blocks[name])
+            box = coding.place(self.blocks[name], self.folds)
             inside = missing.copy()
             for i, start, stop in zip(where, box.start, box.stop, strict=True):
                 inside &= (i >= start) & (i < stop)
@@ -117,7 +116,3 @@ class Tiles:
         while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > KEPT:
             self._kept.popitem(last=False)
         return tile
-
-
-def _box(block: Block) -> Box:
-    return Box(tuple(block.about["start"]), tuple(block.about["stop"]))

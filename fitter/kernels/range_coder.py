@@ -1,7 +1,8 @@
 """The decoder's half of the range coder under compressed tables, see :mod:`fitter.compression.entropy`.
 
 Range coding is G. N. N. Martin's (1979); word size, precision and how probabilities become whole numbers are
-those of constriction, which writes what is read here.
+those of constriction 0.5, which wrote what is read here: containers of version 2. Version 3 has the same
+probabilities.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def cumulated(
                 away = (middle[k] - shifts[shift]) / s
                 square[k] = 1.0 + away * away / (2.0 * m)
                 weight[k] = np.sqrt(square[k]) if m % 1.0 > 0 else 1.0
-            # As ``fitter.compression.entropy._power`` does it.
+            # By square roots and products, which round alike everywhere.
             whole = np.int64(m)
             while whole:
                 if whole & 1:

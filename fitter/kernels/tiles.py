@@ -287,7 +287,7 @@ def decoded(
                 paired(mine_known, mine_error, outer, n, inner, count, near, far, slope, bend, unrest)
                 mixed(
                     near, far, slope, bend, unrest, corrections, c, new_dims, axis, factors, shares, scratch,
-                    predicted, width,
+                    predicted, widths,
                 )  # fmt: skip
                 dithered(seed, number, c, added)
                 classed(width, added, narrowest, kinds)
