@@ -202,7 +202,8 @@ def place(block: Block, folds: Folds) -> Box:
     except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
-        raise damaged(f"block {block.name!r} is from {ends[0]} to {ends[1]}, which is no tile", None, block.name)
+        message = f"block {block.name!r} is from {ends[0]} to {ends[1]}, which is no tile"
+        raise damaged(message, None, block.name)
     return Box(tuple(start.tolist()), tuple(stop.tolist()))
 
 

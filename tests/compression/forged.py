@@ -16,7 +16,8 @@ from fitter.compression.archive import pack_parts, unpack_parts
 
 #: Channels and nodes: one value, one node, one axis of many, rows longer than a run, rows along other axes.
 SHAPES = (
-    (1, 1), (3, 1, 1, 1), (1, 2), (2, 1300), (1, 3, 1201), (1, 1201, 2), (2, 5, 7, 40), (3, 9, 6, 5), (1, 2, 2, 2, 2),
+    (1, 1), (3, 1, 1, 1), (1, 2), (2, 1300), (1, 3, 1201), (1, 1201, 2), (2, 5, 7, 40), (3, 9, 6, 5),
+    (1, 2, 2, 2, 2),
 )  # fmt: skip
 CLASSES = 48
 

@@ -94,7 +94,9 @@ def test_bits_are_near_the_entropy() -> None:
         spent = words.nbytes + len(entropy.pack_bits(rest, bits))
         _, count = np.unique(np.rint(drawn), return_counts=True)
         least = -(count * np.log2(count / len(drawn))).sum() / 8
-        assert spent < 1.02 * least + 8 * LANES  # and the states that the decoder begins with
+        # The states that the decoder begins with are written whole, 8 bytes each. What of that the first
+        # tokens pay for (half a word a lane on average) is left as a margin.
+        assert spent < 1.02 * least + 8 * LANES
 
 
 def test_tiles_that_no_encoder_wrote() -> None:
