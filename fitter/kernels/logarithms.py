@@ -23,7 +23,7 @@ _BITS_OF_ONE, _MANTISSA = np.uint64(0x3FF0000000000000), np.uint64(52)
 
 @part
 def less_one(x: float) -> float:
-    """exp(x) - 1 for |x| < 0.35 by its series, in pieces that don't wait for each other: right to 1.4e-15 of it."""
+    """exp(x) - 1 for |x| < 0.35 by its series, in independent pieces: right to 1.4e-15 of it."""
     q = x * x
     q4 = q * q
     first = (1 / 2 + x * (1 / 6)) + q * (1 / 24 + x * (1 / 120))
