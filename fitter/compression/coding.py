@@ -48,7 +48,7 @@ class Scale:
 
     def values(self, steps: FloatArray) -> FloatArray:
         """(N, C) what steps (N, C) are decoded to."""
-        return steps if self.exact else scale.values(steps * self.step, self.floor)
+        return steps if self.exact else scale.values(steps.T, self.step, self.floor)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _folded(value: FloatArray, shape: tuple[int, ...], used: Scale) -> tuple[Flo
     return fold(steps, exact=used.exact)
 
 
-def _encode_box(steps: FloatArray, exact: bool) -> tuple[list[bytes], FloatArray]:
+def _encode_box(steps: FloatArray, exact: bool) -> tuple[list[bytes], NDArray[np.floating[Any]]]:
     """The parts of a tile (C, *shape), and what it decodes to."""
     if exact:
         return [pack_array(steps), b"", b""], steps
@@ -139,8 +139,8 @@ def _fixed(value: FloatArray, steps: FloatArray, used: Scale) -> tuple[FloatArra
     wanted = scale.logarithms(target[:, None], floor[:, None])[:, 0] / used.step
     away = np.rint(wanted - start)
     away = np.where(np.abs(away) < _MOST_STEPS, away, 0.0)
-    moved = scale.values((start + away)[:, None] * used.step, floor[:, None])
     # One at a time, each with the floor of its own channel.
+    moved = scale.values((start + away)[:, None], used.step, floor).T
     error = scale.error_in_bounds(target[:, None], moved, floor[:, None], used.tolerance)
     good = np.abs(error[:, 0]) <= 1.0
     flat = decoded.reshape(-1)
@@ -188,35 +188,70 @@ class Tile:
 
 def decode(block: Block, used: Scale, folds: Folds) -> Tile:
     """The tile of a block. Raises TableError that names it where its content makes no sense."""
+    box = place(block, folds)
     try:
-        return _decode(block, used, folds)
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+        return _decode(block, box, used, folds)
+    except ValueError as error:  # and nothing else: a kernel that can't be compiled is no damage
         raise damaged(f"block {block.name!r} can't be unpacked ({error})", None, block.name) from error
 
 
-def _decode(block: Block, used: Scale, folds: Folds) -> Tile:
-    box = Box(tuple(block.about["start"]), tuple(block.about["stop"]))
+def place(block: Block, folds: Folds) -> Box:
+    """Where a block's tile is among what is stored. Raises TableError where that is nowhere."""
+    ends = block.about.get("start"), block.about.get("stop")
+    try:
+        start, stop = (np.array(end, np.int64) for end in ends)
+        fits = start.shape == stop.shape == (len(folds.shape),)
+        fits = fits and bool(((start >= 0) & (start < stop) & (stop <= folds.shape)).all())
+    except (TypeError, ValueError, OverflowError):
+        fits = False
+    if not fits:
+        message = f"block {block.name!r} is from {ends[0]} to {ends[1]}, which is no tile"
+        raise damaged(message, None, block.name)
+    return Box(tuple(start.tolist()), tuple(stop.tolist()))
+
+
+def _decode(block: Block, box: Box, used: Scale, folds: Folds) -> Tile:
     channels = len(used.floor)
     shape = (channels, *box.shape)
     coded, bits, others, *fixes = unpack_parts(block.data, 7)
-    good = np.ones(shape, bool)
+    good = None
     if bits:
-        good = np.unpackbits(np.frombuffer(bits, np.uint8), count=good.size).reshape(shape).astype(bool)
-    steps = unpack_array(coded, "<f8", shape) if used.exact else tile.decode(coded, good)
-    steps = np.moveaxis(steps, 0, -1)
-    value = np.ascontiguousarray(used.values(steps))
-    if bits:
-        np.moveaxis(value, -1, 0)[~good] = np.frombuffer(others, "<f8")
+        flags = np.unpackbits(np.frombuffer(bits, np.uint8), count=int(np.prod(shape)))
+        good = flags.astype(bool).reshape(shape)
+    if used.exact:
+        steps = unpack_array(coded, "<f8", shape)
+        value = np.ascontiguousarray(np.moveaxis(steps, 0, -1))
+    else:
+        steps = tile.decode(coded, shape, good)
+        value = scale.values(steps.reshape(channels, -1), used.step, used.floor)
+        value = value.reshape(*shape[1:], channels)
+    if good is not None:
+        channel, node = np.divmod(np.flatnonzero(~good), good.size // channels)
+        kept = np.frombuffer(others, "<f8")
+        if len(kept) != len(node):
+            raise ValueError(f"{len(kept)} numbers for {len(node)} nodes")
+        value.reshape(-1)[node * channels + channel] = kept
     stepped, moves, raw, content = (
         _unsparse(data, kind) for data, kind in zip(fixes, ("<i8", "<i8", "<i8", "<f8"), strict=True)
     )
     stepped, raw = np.cumsum(stepped), np.cumsum(raw)
+    if len(stepped) != len(moves) or len(raw) != len(content):
+        raise ValueError("its fixed values are not as many as their places")
+    inside = _inside(stepped // channels, box, folds)
+    _inside(raw // channels, box, folds)
     if len(stepped):
-        where = folds.stored(stepped // channels)
-        inside = tuple(i - start for i, start in zip(where, box.start, strict=True))
         channel = stepped % channels
-        moved = (steps[(*inside, channel)] + moves)[:, None] * used.step
-        content = np.concatenate([scale.values(moved, used.floor[channel][:, None])[:, 0], content])
+        moved = (steps[(channel, *inside)] + moves)[:, None]
+        content = np.concatenate([scale.values(moved, used.step, used.floor[channel])[0], content])
     index = np.concatenate([stepped, raw])
     order = np.argsort(index)
     return Tile(box, value, index[order], content[order])
+
+
+def _inside(samples: IntArray, box: Box, folds: Folds) -> tuple[NDArray[np.intp], ...]:
+    """Rows of a tile, one (n,) for each axis, of the table's samples (n,). Raises ValueError for others'."""
+    where = folds.stored(samples)
+    for i, start, stop in zip(where, box.start, box.stop, strict=True):
+        if ((i < start) | (i >= stop)).any():
+            raise ValueError("it fixes values of another tile")
+    return tuple(i - start for i, start in zip(where, box.start, strict=True))

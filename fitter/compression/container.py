@@ -15,7 +15,8 @@ from fitter.compression.archive import pack_array, squeezed, unpack_array, unsqu
 from fitter.errors import TableError
 
 MAGIC = b"\x89BRDFfit"
-VERSION = 2
+#: What is written, and what is read: tiles of version 2 have another order of tokens, see tile.
+VERSION, READ = 3, (2, 3)
 # magic, version, length of the packed header, its crc32
 _PREFIX = struct.Struct("<8sHII")
 
@@ -75,10 +76,11 @@ def decode(
             remedy="read measured files with fitter.load",
         )  # fmt: skip
     _, version, length, crc = _PREFIX.unpack_from(data)
-    if version != VERSION:
+    if version not in READ:
         raise TableError(
-            f"the container has version {version}, this library reads {VERSION}", code="compressed-version",
-            file=file, offset=len(MAGIC), remedy="use the version of brdf-fitter that wrote it",
+            f"the container has version {version}, this library reads {READ[0]} and {READ[1]}",
+            code="compressed-version", file=file, offset=len(MAGIC),
+            remedy="use the version of brdf-fitter that wrote it",
         )  # fmt: skip
     text = data[_PREFIX.size : _PREFIX.size + length]
     if len(text) < length or zlib.crc32(text) != crc:

@@ -1,34 +1,32 @@
-"""Integers to bits and back: classes of stated width, a distribution of two parameters each, a range coder.
+"""Integers to bits and back: classes of stated width, a distribution of two parameters each, and a coder.
 
 A class's distribution is (1 + x^2 / (2 m s^2))^-m over the integers: Cauchy-like for m = 1, nearly normal
 for m = 32. It costs four bytes, where a histogram would cost as much as a small table's data. Integers are
 coded as tokens: small ones are one each, larger ones an eighth of an octave, whose remaining bits follow
-as they are. The range coder is constriction's.
+as they are. The coder is :mod:`fitter.kernels.interleaved`; containers of version 2 have a range coder's,
+:mod:`fitter.kernels.range_coder`.
 
 Probabilities are computed by IEEE additions, multiplications, divisions and square roots alone, so that every
-machine has the same ones. What is written here is read by :mod:`fitter.kernels.range_coder`.
+machine has the same ones.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Any, cast
+from functools import cache
 
-import constriction
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: The coders and models of constriction, which states no types.
-_stream = cast("Any", constriction).stream
 #: Numbers (zigzag) below this are a token each; above, tokens are 1 / 2^MANTISSA of an octave.
 DIRECT, MANTISSA = 32, 3
 #: Largest magnitude that is coded at all.
 LARGEST = 1 << 30
 _FIRST_OCTAVE = 5
+#: What a class may be: a byte.
+_CLASSES = 256
 _TOKENS = DIRECT + (32 - _FIRST_OCTAVE) * (1 << MANTISSA)
 #: Exponents m of the distributions, by their number.
 EXPONENTS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0)
@@ -39,43 +37,6 @@ _LEAST = 2.0**-18
 #: What numbers may be shifted by, see fitter.compression.dither: middles of quarters of half a step.
 SHIFTS = (0.0625, 0.1875, 0.3125, 0.4375)
 _QUARTERS = (1.0, 1.189207115002721, 1.4142135623730951, 1.681792830507429)
-
-
-@dataclass(frozen=True)
-class Distribution:
-    """scale : i of 2^(i/4), less ``_SMALLEST_SCALE``. exponent : place in EXPONENTS. top : largest token."""
-
-    scale: int
-    exponent: int
-    top: int
-
-    @cached_property
-    def models(self) -> list[Any]:
-        """For the coder, one for each of SHIFTS: probabilities of the tokens 0 to ``top`` (1 at least)."""
-        p = self._weights()
-        p = np.maximum(p / p.max(axis=1, keepdims=True), _LEAST)
-        return [_stream.model.Categorical(row, perfect=False) for row in p]
-
-    def _weights(self) -> FloatArray:
-        """(shifts, tokens) what each token weighs, before division by their sum."""
-        octave, quarter = divmod(self.scale + _SMALLEST_SCALE, 4)
-        s = np.ldexp(_QUARTERS[quarter], octave)
-        m = EXPONENTS[self.exponent]
-        middle, width = (part[: max(2, self.top + 1)] for part in _buckets())
-        base = 1.0 + np.square((middle - np.array(SHIFTS)[:, None]) / s) / (2.0 * m)
-        return width / _power(base, m)
-
-
-def _power(base: FloatArray, exponent: float) -> FloatArray:
-    """base^exponent for multiples of one half, by square roots and products, which round alike everywhere."""
-    found = np.sqrt(base) if exponent % 1.0 else np.ones_like(base)
-    square, whole = base, int(exponent)
-    with np.errstate(over="ignore"):
-        while whole:
-            if whole & 1:
-                found = found * square
-            square, whole = square * square, whole >> 1
-    return found
 
 
 @cache
@@ -100,8 +61,9 @@ def tokens(numbers: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     return token, bits, folded & ((1 << bits) - 1)
 
 
-def fitted(token: IntArray, shift: IntArray) -> Distribution:
-    """The distribution that codes these tokens, of numbers shifted by SHIFTS[shift], in the fewest bits."""
+def fitted(token: IntArray, shift: IntArray) -> tuple[int, int, int]:
+    """The distribution that codes these tokens, of numbers shifted by SHIFTS[shift], in the fewest bits: its
+    scale as i of 2^(i/4), less ``_SMALLEST_SCALE``; its exponent's place in EXPONENTS; the largest token."""
     top = int(token.max())
     used = max(2, top + 1)
     count = np.bincount(shift * used + token, minlength=len(SHIFTS) * used).reshape(len(SHIFTS), 1, used)
@@ -117,11 +79,11 @@ def fitted(token: IntArray, shift: IntArray) -> Distribution:
     bits = count.sum(axis=-1) * np.log2(np.exp2(log_p).sum(axis=-1)) - (log_p * count).sum(axis=-1)
     cost = bits.sum(axis=1)
     row, exponent = np.unravel_index(int(np.argmin(cost)), cost.shape)
-    return Distribution(int(scales[row]), int(exponent), top)
+    return int(scales[row]), int(exponent), top
 
 
 class Encoder:
-    """Tokens to words, group by group."""
+    """Tokens to words, in the order that they are written in."""
 
     def __init__(self) -> None:
         self._groups: list[tuple[IntArray, NDArray[np.uint8]]] = []
@@ -130,18 +92,19 @@ class Encoder:
         """A group of tokens, each of its ``kind``: SHIFTS times its class, and its shift."""
         self._groups.append((token, kind))
 
-    def finish(self) -> tuple[dict[int, Distribution], NDArray[np.uint32]]:
-        """The distribution of each class that was met, fitted to its tokens, and the words."""
+    def finish(self) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+        """The distributions (D, 4) of the classes that were met, fitted to their tokens, and the words."""
+        from fitter.kernels.interleaved import LANES, written
+
         token = np.concatenate([*(group[0] for group in self._groups), np.zeros(0, np.int64)])
         kind = np.concatenate([*(group[1] for group in self._groups), np.zeros(0, np.uint8)])
         own, shift = kind // len(SHIFTS), (kind % len(SHIFTS)).astype(np.int64)
-        distributions = {int(u): fitted(token[own == u], shift[own == u]) for u in np.unique(own)}
-        coder = _stream.queue.RangeEncoder()
-        for tokens_, kinds in self._groups:
-            for u, rows in by_class(kinds):
-                model = distributions[u // len(SHIFTS)].models[u % len(SHIFTS)]
-                coder.encode(tokens_[rows].astype(np.int32), model)
-        return distributions, coder.get_compressed()
+        rows = [(u, *fitted(token[own == u], shift[own == u])) for u in np.unique(own).tolist()]
+        distributions = np.array(rows, np.uint8).reshape(-1, 4)
+        which, ends, _ = tables(distributions)
+        words = np.empty(len(token) + 2 * LANES, np.uint32)
+        used = written(token, which[own] * len(SHIFTS) + shift, ends, words)
+        return distributions, words[len(words) - used :]
 
 
 def tables(
@@ -149,12 +112,14 @@ def tables(
 ) -> tuple[IntArray, NDArray[np.uint32], NDArray[np.uint8]]:
     """For :func:`fitter.kernels.tiles.decoded`: which of the distributions (D, 4) each class (256,) has, -1
     for none, their cumulated probabilities and first tokens. Raises ValueError for an exponent that there is
-    not."""
+    not, and for more distributions than classes: a forged table must not fill the memory."""
     from fitter.kernels.range_coder import cumulated
 
+    if len(rows) > _CLASSES:
+        raise ValueError("more distributions than classes")
     if len(rows) and int(rows[:, 2].max()) >= len(EXPONENTS):
         raise ValueError("a distribution with an exponent that there is not")
-    which = np.full(256, -1)
+    which = np.full(_CLASSES, -1)
     which[rows[:, 0]] = np.arange(len(rows))
     middle, width = _buckets()
     top = min(max(2, 1 + int(rows[:, 3].max(initial=0))), len(middle))
@@ -170,14 +135,6 @@ def _scales() -> FloatArray:
     """(256,) what the numbers of scales stand for."""
     octave, quarter = np.divmod(np.arange(256) + _SMALLEST_SCALE, 4)
     return np.ldexp(np.array(_QUARTERS)[quarter], octave)
-
-
-def by_class(kind: NDArray[np.uint8]) -> list[tuple[int, IntArray]]:
-    """Each class of a group that occurs, in order, and where."""
-    order = np.argsort(kind, kind="stable")
-    count = np.bincount(kind)
-    ends = np.cumsum(count)
-    return [(int(u), order[ends[u] - count[u] : ends[u]]) for u in np.flatnonzero(count)]
 
 
 def pack_bits(rest: IntArray, bits: IntArray) -> NDArray[np.uint8]:

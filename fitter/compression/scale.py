@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,15 +50,13 @@ def lift(logarithm: FloatArray, step: float) -> FloatArray:
     return float(np.log(np.sinh(h) / h)) * np.clip(logarithm / h, -1.0, 1.0)
 
 
-def values(logarithm: FloatArray, floor: FloatArray) -> FloatArray:
-    """Inverse of :func:`logarithms`."""
-    y = np.abs(logarithm)
-    with np.errstate(over="ignore"):
-        size = np.expm1(np.minimum(y, _LARGE)) * floor
-        large = y >= _LARGE
-        if large.any():
-            size = np.where(large, np.exp(y + np.log(floor)), size)
-    return np.copysign(size, logarithm, out=size)
+def values(logarithm: NDArray[np.floating[Any]], unit: float, floor: FloatArray) -> FloatArray:
+    """(M, C) what logarithms (C, M), in multiples of ``unit``, are of."""
+    from fitter.kernels.logarithms import restored
+
+    found = np.empty(logarithm.shape[::-1])
+    restored(np.ascontiguousarray(logarithm), unit, floor, _LARGE, found)
+    return found
 
 
 def error_in_bounds(

@@ -32,14 +32,14 @@ _SEEDS, _MEAN, _FEW = 6, 0.006, 2000
 _FAULTS = {
     1: "the rules end early", 2: "a rule that is as before, where none was",
     3: "a number of a class that has no distribution", 4: "a number that no encoder wrote",
-    5: "the bits end early",
+    5: "the bits end early", 6: "its tokens end elsewhere than its words",
 }  # fmt: skip
 
 #: Gives a channel's predictions, expected widths and corrections, (*nodes) each.
 _Visit = Callable[[Stage, int, Seen], tuple[Numbers, Numbers, Numbers]]
 
 
-def encode(steps: FloatArray) -> tuple[bytes, FloatArray]:
+def encode(steps: FloatArray) -> tuple[bytes, Numbers]:
     """The tile (C, *shape) of numbers in steps, NaN where there is nothing to code, and what it decodes to.
 
     Where a correction would be too large to code there is none: the caller compares. Errors are as good as
@@ -59,7 +59,7 @@ def encode(steps: FloatArray) -> tuple[bytes, FloatArray]:
             break
     assert best is not None
     # What the decoder makes of it counts, not what the encoder thinks that it will.
-    return best[1], decode(best[1], good)
+    return best[1], decode(best[1], good.shape, None if good.all() else good)
 
 
 def _encode(filled: FloatArray, good: BoolArray, seed: int) -> tuple[bytes, FloatArray]:
@@ -88,41 +88,47 @@ def _encode(filled: FloatArray, good: BoolArray, seed: int) -> tuple[bytes, Floa
     number = number_type(float(np.abs(filled).max(initial=0.0)))
     decoded = _walk(first.astype(number), filled.shape, visit)
     distributions, words = coder.finish()
-    table = [[u, d.scale, d.exponent, d.top] for u, d in distributions.items()]
     none = np.zeros(0, np.int64)
     parts = [
-        number.char.encode() + bytes([seed]) + first.astype("<f8").tobytes(),
+        number.char.upper().encode() + bytes([seed]) + first.astype(number.newbyteorder("<")).tobytes(),
         bytes(rules.written),
-        np.array(table, np.uint8).tobytes(),
+        distributions.tobytes(),
         entropy.pack_bits(np.concatenate([*rest, none]), np.concatenate([*bits, none])).tobytes(),
         words.astype("<u4").tobytes(),
     ]
     return pack_parts(parts), decoded.astype(np.float64)
 
 
-def decode(data: bytes, good: BoolArray) -> FloatArray:
-    """The numbers (C, *shape) in steps that :func:`encode` coded where ``good``.
+def decode(data: bytes, shape: tuple[int, ...], good: BoolArray | None) -> Numbers:
+    """The numbers (C, *shape) in steps that :func:`encode` coded where ``good``, None for everywhere, in the
+    tile's own type.
 
-    Raises ValueError where the bytes don't make up a tile.
+    Raises ValueError where the bytes don't make up a tile. Their first one says in which type it is worked,
+    in lower case where it is one of version 2.
     """
     from fitter.kernels import tiles
 
     first, written, table, packed, words = unpack_parts(data, 5)
-    if len(first) != 2 + 8 * len(good) or first[:1] not in (b"f", b"d") or len(table) % 4:
+    kind = first[:1].lower().decode("latin-1")
+    second = first[:1] == kind.encode("latin-1")
+    if kind not in ("f", "d"):
+        raise ValueError("it is worked in no known type")
+    stated = np.dtype("<f8" if second else f"<{kind}")
+    if len(first) != 2 + stated.itemsize * shape[0] or len(table) % 4:
         raise ValueError("its parts have other lengths than the tile's")
-    start = np.frombuffer(first[2:], "<f8").astype(first[:1].decode())
-    shape = np.array(good.shape[1:], np.int64)
+    with np.errstate(over="ignore"):  # of numbers that no encoder wrote
+        start = np.frombuffer(first[2:], stated).astype(kind)
     which, ends, low = entropy.tables(np.frombuffer(table, np.uint8).reshape(-1, 4))
-    found = np.empty(good.shape, start.dtype)
+    found = np.empty(shape, start.dtype)
     fault = tiles.decoded(
-        start, shape, first[1], np.frombuffer(written, np.uint8).astype(np.int64),
-        np.frombuffer(words, "<u4").astype(np.uint32), which, ends, low,
-        np.frombuffer(packed + bytes(8), np.uint8), np.zeros(0, bool) if good.all() else good.reshape(-1),
+        start, np.array(shape[1:], np.int64), first[1], np.frombuffer(written, np.uint8).astype(np.int64),
+        np.frombuffer(words, "<u4").astype(np.uint32), not second, which, ends, low,
+        np.frombuffer(packed + bytes(8), np.uint8), np.zeros(0, bool) if good is None else good.reshape(-1),
         USUAL, NARROWEST, found.reshape(-1),
     )  # fmt: skip
     if fault:
         raise ValueError(_FAULTS[fault])
-    return found.astype(np.float64)
+    return found
 
 
 def number_type(largest: float) -> np.dtype[Any]:

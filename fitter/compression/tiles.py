@@ -13,7 +13,6 @@ from fitter.compression import coding
 from fitter.compression.coding import Scale, Tile
 from fitter.compression.container import Block, damaged
 from fitter.compression.folds import Folds
-from fitter.compression.tile import Box
 from fitter.parts import in_parts
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +61,7 @@ class Tiles:
         found = np.empty((len(index), channels))
         missing = np.ones(len(index), bool)
         for name in self.names:
-            box = _box(self.blocks[name])
+            box = coding.place(self.blocks[name], self.folds)
             inside = missing.copy()
             for i, start, stop in zip(where, box.start, box.stop, strict=True):
                 inside &= (i >= start) & (i < stop)
@@ -86,9 +85,15 @@ class Tiles:
     def all(self) -> tuple[FloatArray, BoolArray]:
         """(N, C) all values, NaN in damaged blocks, and (N,) where that is."""
         samples, channels = self.shape
+        names = self.names
+        if self.count == len(names) == 1:
+            tile = self._kept.get(names[0]) or coding.decode(self.blocks[names[0]], self.scale, self.folds)
+            value = self.folds.spread(tile.value).reshape(samples, channels)
+            value = value.copy() if names[0] in self._kept else value
+            value.reshape(-1)[tile.fixed] = tile.replaced
+            return value, np.zeros(samples, bool)
         stored = np.full((*self.folds.shape, channels), np.nan)
         lost = np.ones(self.folds.shape, bool)
-        names = self.names
         fixed: list[tuple[IntArray, FloatArray]] = []
 
         def unpack(part: slice) -> None:
@@ -111,7 +116,3 @@ class Tiles:
         while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > KEPT:
             self._kept.popitem(last=False)
         return tile
-
-
-def _box(block: Block) -> Box:
-    return Box(tuple(block.about["start"]), tuple(block.about["stop"]))

@@ -1,7 +1,7 @@
 """Loops compiled to machine code by Numba: what array operations can't do without a pass over memory each.
 
 A kernel is arrays in, arrays out, and holds no lock: threads run it side by side. It is compiled when it is
-first called, which takes three to twenty seconds, and kept in the cache folder of the program for the
+first called, which takes three to forty seconds, and kept in the cache folder of the program for the
 processes to come; where that can't be written, each process compiles for itself. Numba itself takes a quarter
 of a second to import, so the modules of this package are imported where they are needed and not before.
 """

@@ -1,7 +1,8 @@
 """The decoder's half of the range coder under compressed tables, see :mod:`fitter.compression.entropy`.
 
 Range coding is G. N. N. Martin's (1979); word size, precision and how probabilities become whole numbers are
-those of constriction, which writes what is read here.
+those of constriction 0.5, which wrote what is read here: containers of version 2. Version 3 has the same
+probabilities.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ Words = NDArray[np.uint32]
 
 _U = np.uint64
 #: Bits of a probability, of a word, and of the first look-up of a token.
-_PRECISION, _WORD, _FIRST = 24, 32, 8
-_ONE = 1 << _PRECISION
+PRECISION, WORD, FIRST = 24, 32, 8
+_ONE = 1 << PRECISION
 
 #: Where a message is read: lower end and width of the interval, the point in it, and the next word.
 Reader = tuple[np.uint64, np.uint64, np.uint64, int]
@@ -52,7 +53,7 @@ def cumulated(
                 away = (middle[k] - shifts[shift]) / s
                 square[k] = 1.0 + away * away / (2.0 * m)
                 weight[k] = np.sqrt(square[k]) if m % 1.0 > 0 else 1.0
-            # As ``fitter.compression.entropy._power`` does it.
+            # By square roots and products, which round alike everywhere.
             whole = np.int64(m)
             while whole:
                 if whole & 1:
@@ -78,7 +79,7 @@ def cumulated(
                 ends[row, k] = _ONE
             bucket = 0
             for k in range(n):
-                while bucket < 1 << _FIRST and bucket << (_PRECISION - _FIRST) < np.int64(ends[row, k + 1]):
+                while bucket < 1 << FIRST and bucket << (PRECISION - FIRST) < np.int64(ends[row, k + 1]):
                     first[row, bucket] = k
                     bucket += 1
 
@@ -88,7 +89,7 @@ def opened(words: Words) -> Reader:
     """At the start of a message."""
     high = _U(words[0]) if len(words) > 0 else _U(0)
     low = _U(words[1]) if len(words) > 1 else _U(0)
-    return _U(0), ~_U(0), (high << _U(_WORD)) | low, 2
+    return _U(0), ~_U(0), (high << _U(WORD)) | low, 2
 
 
 @part
@@ -97,18 +98,18 @@ def token(
 ) -> tuple[Any, Reader]:
     """The next token, of the distribution ``row``; -1 for data that has none."""
     lower, wide, point, place = reader
-    scale = wide >> _U(_PRECISION)
+    scale = wide >> _U(PRECISION)
     quantile = (point - lower) // scale
     if quantile >= _U(_ONE):
         return -1, reader
-    found = np.int64(first[row, np.int64(quantile >> _U(_PRECISION - _FIRST))])
+    found = np.int64(first[row, np.int64(quantile >> _U(PRECISION - FIRST))])
     while _U(ends[row, found + 1]) <= quantile:
         found += 1
     left = _U(ends[row, found])
     lower += scale * left
     wide = scale * (_U(ends[row, found + 1]) - left)
-    if wide < _U(1 << _WORD):
-        lower, wide, point = lower << _U(_WORD), wide << _U(_WORD), point << _U(_WORD)
+    if wide < _U(1 << WORD):
+        lower, wide, point = lower << _U(WORD), wide << _U(WORD), point << _U(WORD)
         if place < len(words):
             point |= _U(words[place])
         place += 1

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from fitter.compression import entropy, tile
 from fitter.compression.archive import pack_parts, unpack_parts
-from fitter.compression.entropy import Distribution, Encoder
+from fitter.compression.entropy import Encoder
+from fitter.kernels.interleaved import LANES, message, written
 from fitter.kernels.range_coder import read
 
 NUMBERS = st.lists(
@@ -17,13 +18,12 @@ NUMBERS = st.lists(
 )
 
 
-def read_back(distributions: dict[int, Distribution], words: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+def read_back(distributions: np.ndarray, words: np.ndarray, kinds: np.ndarray) -> np.ndarray:
     """The tokens of a message, by the decoder's kernels."""
-    rows = np.array([[u, d.scale, d.exponent, d.top] for u, d in distributions.items()], np.uint8)
-    which, ends, first = entropy.tables(rows.reshape(-1, 4))
+    which, ends, first = entropy.tables(distributions)
     found = np.empty(len(kinds), np.int64)
     shifts = len(entropy.SHIFTS)
-    assert read(words, ends, first, which[kinds // shifts] * shifts + kinds % shifts, found)
+    assert message(words, which[kinds // shifts] * shifts + kinds % shifts, ends, first, found)
     return found
 
 
@@ -49,27 +49,28 @@ def test_the_coder_gives_back_its_tokens(groups: list[tuple[list[int], int]]) ->
         token = entropy.tokens(np.array(numbers, np.int64))[0]
         kind = np.random.default_rng(seed).integers(0, 4, len(numbers)).astype(np.uint8)
         coder.write(token, kind)
-        order = np.argsort(kind, kind="stable")  # within a group they stand kind by kind
-        tokens.append(token[order])
-        kinds.append(kind[order])
+        tokens.append(token)
+        kinds.append(kind)
     distributions, words = coder.finish()
     assert np.array_equal(read_back(distributions, words, np.concatenate(kinds)), np.concatenate(tokens))
 
 
 def test_every_distribution_can_code_every_token() -> None:
-    """What constriction writes is what the kernel reads, for every exponent and scales from narrow to
-    wide."""
+    """For every exponent and scales from narrow to wide; a message whose words were changed does not end."""
+    shifts = len(entropy.SHIFTS)
     for scale in range(0, 160, 11):
         for exponent in range(len(entropy.EXPONENTS)):
             for top in (0, 1, 40, 200):
-                one = Distribution(scale, exponent, top)
-                token = np.arange(top + 1)
-                coder = entropy._stream.queue.RangeEncoder()
-                for model in one.models:
-                    coder.encode(token.astype(np.int32), model)
-                kinds = np.repeat(np.arange(len(entropy.SHIFTS)), top + 1).astype(np.uint8)
-                found = read_back({0: one}, coder.get_compressed(), kinds)
-                assert np.array_equal(found, np.tile(token, len(entropy.SHIFTS)))
+                _, ends, first = entropy.tables(np.array([[0, scale, exponent, top]], np.uint8))
+                token = np.tile(np.arange(top + 1), shifts)
+                rows = np.repeat(np.arange(shifts), top + 1)
+                words = np.empty(len(token) + 2 * LANES, np.uint32)
+                words = words[len(words) - written(token, rows, ends, words) :]
+                found = np.empty(len(token), np.int64)
+                assert message(words, rows, ends, first, found)
+                assert np.array_equal(found, token)
+                words[-1] ^= 1
+                assert not message(words, rows, ends, first, found)
 
 
 def test_data_that_no_encoder_wrote_has_no_token() -> None:
@@ -93,7 +94,9 @@ def test_bits_are_near_the_entropy() -> None:
         spent = words.nbytes + len(entropy.pack_bits(rest, bits))
         _, count = np.unique(np.rint(drawn), return_counts=True)
         least = -(count * np.log2(count / len(drawn))).sum() / 8
-        assert spent < 1.02 * least + 16
+        # The states that the decoder begins with are written whole, 8 bytes each. What of that the first
+        # tokens pay for (half a word a lane on average) is left as a margin.
+        assert spent < 1.02 * least + 8 * LANES
 
 
 def test_tiles_that_no_encoder_wrote() -> None:
@@ -101,8 +104,7 @@ def test_tiles_that_no_encoder_wrote() -> None:
     rng = np.random.default_rng(4)
     steps = rng.normal(0, 30, (2, 9, 6, 5)).cumsum(axis=1)
     data, decoded = tile.encode(steps)
-    good = np.ones(steps.shape, bool)
-    assert np.array_equal(tile.decode(data, good), decoded)
+    assert np.array_equal(tile.decode(data, steps.shape, None), decoded)
     parts = unpack_parts(data, 5)
     failed = 0
     for trial in range(400):
@@ -113,7 +115,7 @@ def test_tiles_that_no_encoder_wrote() -> None:
         if trial % 7 == 0:
             del which[len(which) // 2 // 4 * 4 :]
         try:
-            found = tile.decode(pack_parts([bytes(part) for part in broken]), good)
+            found = tile.decode(pack_parts([bytes(part) for part in broken]), steps.shape, None)
         except ValueError:
             failed += 1
         else:
