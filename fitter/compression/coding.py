@@ -198,13 +198,11 @@ def decode(block: Block, used: Scale, folds: Folds) -> Tile:
 def place(block: Block, folds: Folds) -> Box:
     """Where a block's tile is among what is stored. Raises TableError where that is nowhere."""
     ends = block.about.get("start"), block.about.get("stop")
-    try:
+    start = stop = np.zeros(0, np.int64)
+    with contextlib.suppress(TypeError, ValueError, OverflowError):  # what is no number is no place either
         start, stop = (np.array(end, np.int64) for end in ends)
-        fits = start.shape == stop.shape == (len(folds.shape),)
-        fits = fits and bool(((start >= 0) & (start < stop) & (stop <= folds.shape)).all())
-    except (TypeError, ValueError, OverflowError):
-        fits = False
-    if not fits:
+    fits = start.shape == stop.shape == (len(folds.shape),)
+    if not (fits and bool(((start >= 0) & (start < stop) & (stop <= folds.shape)).all())):
         message = f"block {block.name!r} is from {ends[0]} to {ends[1]}, which is no tile"
         raise damaged(message, None, block.name)
     return Box(tuple(start.tolist()), tuple(stop.tolist()))
