@@ -6,6 +6,7 @@ table's values differ by from the decoded ones where the bound asks for it: whol
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Any
 
