@@ -45,9 +45,11 @@ def logarithms(value: FloatArray, floor: FloatArray) -> FloatArray:
 
 def lift(logarithm: FloatArray, step: float) -> FloatArray:
     """What errors that are uniform over ``step`` add to logarithms y in the mean of the values: |f| + floor
-    by a factor sinh(h) / h, with h = step / 2. About 0, where errors change the sign, nothing."""
+    by a factor sinh(h) / h, with h = step / 2. Below h, where errors change the sign, less, to second
+    order in h, down to nothing at 0."""
     h = 0.5 * step
-    return float(np.log(np.sinh(h) / h)) * np.clip(logarithm / h, -1.0, 1.0)
+    inner = 1.0 - np.minimum(np.abs(logarithm) / h, 1.0)
+    return np.copysign(float(np.log(np.sinh(h) / h)) * (1.0 - inner**3), logarithm)
 
 
 def values(logarithm: NDArray[np.floating[Any]], unit: float, floor: FloatArray) -> FloatArray:

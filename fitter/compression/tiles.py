@@ -86,10 +86,11 @@ class Tiles:
         """(N, C) all values, NaN in damaged blocks, and (N,) where that is."""
         samples, channels = self.shape
         names = self.names
-        if self.count == len(names) == 1:
-            tile = self._kept.get(names[0]) or coding.decode(self.blocks[names[0]], self.scale, self.folds)
+        if self.count == len(names) == 1 and self._is_all(self.blocks[names[0]]):
+            kept = self._kept.get(names[0])
+            tile = kept or coding.decode(self.blocks[names[0]], self.scale, self.folds)
             value = self.folds.spread(tile.value).reshape(samples, channels)
-            value = value.copy() if names[0] in self._kept else value
+            value = value if kept is None else value.copy()
             value.reshape(-1)[tile.fixed] = tile.replaced
             return value, np.zeros(samples, bool)
         stored = np.full((*self.folds.shape, channels), np.nan)
@@ -108,6 +109,10 @@ class Tiles:
         for place, replaced in fixed:
             value.reshape(-1)[place] = replaced
         return value, self.folds.spread(lost).reshape(samples)
+
+    def _is_all(self, block: Block) -> bool:
+        """Whether a block's tile is all that is stored."""
+        return coding.place(block, self.folds).shape == tuple(self.folds.shape)
 
     def tile(self, name: str) -> Tile:
         """The tile of a block, unpacked now or before."""

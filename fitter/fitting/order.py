@@ -136,6 +136,10 @@ def swaps(layout: Layout) -> tuple[Swap, ...]:
             continue
         if any(box[position[name]][0] != -box[position[name]][1] for name in [*deltas, *gammas]):
             continue
+        own = {name: layout.mixed and layout.own[position[name]] for name in used}
+        # Where deltas of one gamma may have either sign, gamma can't turn with them.
+        if any(own[d] and not own[g] for d, g in zip(deltas, gammas, strict=True)):
+            continue
         apart = layout.mixed and layout.own[psi] and all(layout.own[position[name]] for name in used)
         for block in [[c] for c in range(layout.channels)] if apart else [list(range(layout.channels))]:
             fields = (

@@ -35,12 +35,14 @@ SMALL = 0.05
 
 
 def chosen(
-    y: FloatArray, f: FloatArray, at: FloatArray, moved: FloatArray, scans: Sequence[IndexArray | None]
+    y: FloatArray, f: FloatArray, at: FloatArray, moved: FloatArray, ends: tuple[FloatArray, FloatArray],
+    scans: Sequence[IndexArray | None],
 ) -> list[list[list[Process]]]:
     """The best processes of each channel (C) for each of ``scans``: None, or the (n,) scan of every sample.
 
     y, f : (n, C) measured and fitted values in random order, at features (n, 4). moved : (m, Q, C) what the
-    parameters do to the first of them, at most ``CONDITIONED_ON``.
+    parameters do to the first of them, at most ``CONDITIONED_ON``. ends : (C,) each, the smallest value
+    that was measured, or 0, and the largest.
     """
     used, few = min(CONDITIONED_ON, len(y)), min(ESTIMATED_FROM, len(y))
     tried = [
@@ -52,11 +54,10 @@ def chosen(
     distance = distances(at[:used], at[:used])
     found: list[list[list[Process]]] = []
     for c, channel in enumerate(tried):
-        ends = min(0.0, float(y[:, c].min())), float(y[:, c].max())
         processes = [
             conditioned(
                 scale, nearby, z[:used], f[:used, c], at[:used], moved[:, :, c], distance,
-                *next(correlations), ends,
+                *next(correlations), (float(ends[0][c]), float(ends[1][c])),
             )
             for scale, nearby, z in channel
         ]  # fmt: skip

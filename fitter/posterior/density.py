@@ -33,6 +33,8 @@ from fitter.fitting.order import Swap, azimuths, ordered_axes, swaps
 from fitter.posterior.offsets import shifted
 
 FloatArray = NDArray[np.float64]
+#: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
+LARGEST_NOISE = 3.0
 #: Walkers evaluated at once: more would push the samples out of the cache.
 BATCH = 8
 #: Coordinates that differ by less are the same: renaming a surface rounds.

@@ -19,7 +19,7 @@ from fitter.fitting.metrics import LOG_FLOOR
 from fitter.fitting.result import FitResult
 from fitter.fitting.samples import Usable
 from fitter.posterior.blobs import Blobs, blobs
-from fitter.posterior.density import Data, Density, Noise
+from fitter.posterior.density import LARGEST_NOISE, Data, Density, Noise
 from fitter.posterior.free import Free
 from fitter.posterior.moves import Independence, free_mixture, mixture
 from fitter.posterior.offsets import ANGLES, FARTHEST, tangents
@@ -27,8 +27,6 @@ from fitter.spec import PosteriorSpec
 
 FloatArray = NDArray[np.float64]
 NOWHERE: Mapping[str, tuple[float, float]] = MappingProxyType({})
-#: Upper bound of the inferred relative noise: beyond it "relative" has lost its meaning.
-LARGEST_NOISE = 3.0
 #: Upper bound of linear parameters without one, in units of pi times the largest value. A lobe that hides
 #: between the samples can have any strength: without a bound its posterior is not proper.
 LARGEST_SCALE = 100.0

@@ -36,11 +36,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fitter.fitting.layout import Layout
-from fitter.posterior.density import Data, Density, Noise, terms_at, values_at
+from fitter.posterior.density import LARGEST_NOISE, Data, Density, Noise, terms_at, values_at
 
 FloatArray = NDArray[np.float64]
 #: Of the precision's diagonal: terms that are the same on all samples have a solution, too.
 RIDGE = 1e-10
+#: Typical values, at least, of the largest one.
+LEAST_TYPICAL = 1e-3
 #: A coordinate's distance from its bounds, at least, of their distance or its own: exactly there v is not
 #: finite.
 EDGE = 1e-14
@@ -128,15 +130,20 @@ class Free:
         density, c = self.density, self.density.channels
         first = len(density.layout.linear) * c + len(density.layout.entries)
         pairs = first + np.arange(0 if density.data.sigma is not None else 2 * c).reshape(2, -1)
-        return pairs[:, (low[pairs] == 0.0).all(axis=0) & np.isinf(high[pairs[1]])]
+        given = high[pairs[0]] < LARGEST_NOISE
+        return pairs[:, (low[pairs] == 0.0).all(axis=0) & np.isinf(high[pairs[1]]) & ~given]
 
     @cached_property
     def _typical(self) -> FloatArray:
-        """(K,) of the model's values in these channels, at the density's centre."""
+        """(K,) of the model's values in these channels at the density's centre. At most samples a narrow lobe
+        is next to nothing, and so is what a relative noise does there."""
         density = self.density
+        if not self._noise.size:
+            return np.zeros(0)
         assert density.centre is not None
         f = np.abs(np.asarray(_values(density.layout, density.noise, density.centre, density.on_device)))
-        every = np.array([np.median(own[own > 0.0]) if own.any() else 1.0 for own in f])
+        largest = np.where(f.any(axis=1), f.max(axis=1), 1.0)
+        every = np.maximum(np.median(f, axis=1), LEAST_TYPICAL * largest)
         return every[self._noise[1] - (density.size - density.noise.offsets - len(every))]
 
     def _volume(self, v: FloatArray) -> FloatArray:

@@ -132,13 +132,14 @@ def predictive(
     pair = data.part([0], order, len(order)).pair
     wi, wo = pair[:3].T, pair[3:].T
     f, at = evaluated(fit.model, wi, wo), features(wi, wo)
-    y = whole.value[data.index[order]][:, list(data.channels)]
+    every = whole.value[data.index][:, list(data.channels)]
+    y, ends = every[order], (np.minimum(every.min(axis=0), 0.0), every.max(axis=0))
     covariance = fit.covariance if robust is None else robust.covariance
     few = slice(CONDITIONED_ON)
     moved = slopes(fit.model, fit.labels, covariance, wi[few], wo[few])
     scan = blocks(wi, wo, 1, isotropic=fit.model.isotropic(fit.spec.model), fewest=FEWEST_SCANS)
     kinds: list[New] = [kind for kind in new if kind == "directions" or scan.kind is not None]
-    found = chosen(y, f, at, moved, [scan.block if kind == "scans" else None for kind in kinds])
+    found = chosen(y, f, at, moved, ends, [scan.block if kind == "scans" else None for kind in kinds])
     return Predictive(
         template=fit.model,
         labels=fit.labels,

@@ -154,19 +154,28 @@ class Process:
         whole = self.deviation**2 + np.square(own).sum(axis=1)
         least = self.deviation**2 * (1.0 - self.share + JITTER)
         left = np.maximum(whole - np.square(half).sum(axis=0), least)
-        reach = _reach(f, level, self.misses, self.scans)
-        return self._around(f, near, cross @ self.weights, reach * np.sqrt(left))
+        half, judged = (
+            _reach(f, at_level, self.misses, self.scans) * np.sqrt(left) for at_level in (level, JUDGED_AT)
+        )
+        return self._around(f, near, cross @ self.weights, half, judged)
 
     def _around(
-        self, f: FloatArray, near: FloatArray, mean: FloatArray, half: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        least, most = self.ends[0], LARGEST * np.maximum(self.ends[1], f)
-        lower, upper = (self.scale.value(near * (mean + side * half), f) for side in (-1.0, 1.0))
-        # A band that is beyond as a whole knows nothing.
-        beyond = (upper <= least) | (lower >= most)
-        return (
-            np.where(beyond, least, np.maximum(lower, least)), np.where(beyond, most, np.minimum(upper, most))
-        )  # fmt: skip
+        self, f: FloatArray, near: FloatArray, mean: FloatArray, half: FloatArray,
+        judged: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """``half`` to both sides of the mean; ``judged`` is that of ``JUDGED_AT``, where it is another."""
+        least, most = self.ends[0], LARGEST * np.maximum(np.maximum(self.ends[1], f), 0.0)
+
+        def ends(away: FloatArray) -> tuple[FloatArray, FloatArray]:
+            low, high = (self.scale.value(near * (mean + side * away), f) for side in (-1.0, 1.0))
+            return low, high
+
+        # A band that is beyond as a whole knows nothing. Decided at one level, so that wider ones hold
+        # narrower ones.
+        low, high = ends(half if judged is None else judged)
+        beyond = (high <= least) | (low >= most)
+        lower, upper = (np.clip(end, least, most) for end in ends(half))
+        return np.where(beyond, least, lower), np.where(beyond, most, upper)
 
     def misfits(self, scan: IndexArray | None) -> tuple[FloatArray, FloatArray]:
         """How far each scaled residual (n,) that it is conditioned on is from where the others, or those of

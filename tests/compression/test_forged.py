@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fitter import Table
 from fitter.compression import CompressedTable, coding, compress, entropy, tile
 from fitter.compression.archive import pack_parts, unpack_parts
 from fitter.compression.container import Block
@@ -156,3 +157,21 @@ def test_a_kernel_that_cant_be_compiled_is_no_damage(monkeypatch: pytest.MonkeyP
         monkeypatch.setattr("fitter.kernels.tiles.decoded", fails)
         with pytest.raises(kind):
             small.decompress()
+
+
+def test_a_tile_of_a_part_is_no_whole() -> None:
+    """What it does not cover is lost, and said to be."""
+    half, whole = (
+        compress(Table(wi=w, wo=w, value=1.0 + w[:, :1]), 0.01) for w in (_up(150), _up(300))
+    )
+    block = half.blocks["values 0"]
+    whole.blocks["values 0"] = Block(block.name, block.data, {**block.about, "start": [0], "stop": [150]})
+    value, lost = whole.tiles.all()
+    assert lost.tolist() == [False] * 150 + [True] * 150
+    assert np.isfinite(value[:150]).all()
+    assert np.isnan(value[150:]).all()
+
+
+def _up(n: int) -> np.ndarray:
+    theta = np.linspace(0.1, 1.2, n)
+    return np.stack([np.sin(theta), np.zeros(n), np.cos(theta)], axis=1)

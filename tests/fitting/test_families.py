@@ -355,3 +355,12 @@ def test_bad_requests_are_named(model, settings, code, parameter):
     assert caught.value.code == code
     assert caught.value.parameter == parameter
     assert caught.value.remedy
+
+
+def test_deltas_of_channels_that_share_gamma_are_not_exchanged() -> None:
+    """Gamma would have to turn with one of them and to stay with the other."""
+    values = {"kd": [0.2, 0.3], "ks": 0.1, "gamma": 0.7, "delta": 0.3, "n": 8.0, "psi": 0.2}
+    model = models.create("lafortune:anisotropic", **values)
+    table = scattered(model, seed=1, n=300, sigma=True, azimuths=True)
+    fit = fitter.fit(table, ModelSpec(family="lafortune", anisotropic=True, per_channel=("delta",)))
+    np.testing.assert_allclose(fit.parameters["delta"].value, 0.3, atol=0.02)

@@ -38,6 +38,8 @@ def _free(spec: str, values: dict, y: np.ndarray) -> Free:
         ),
         # Its coefficients are products: nothing is counted from its best value.
         ("oren_nayar:full", {"rho": 0.5, "sigma": 0.4}, [0.5, 0.4, 0.02, 0.001], 0),
+        # Next to nothing at most samples.
+        ("ward:no_diffuse", {"ks": 0.3, "alpha": 0.3}, [0.3, np.log(0.02), 0.053, 0.001], 1),
     ],
 )  # fmt: skip
 def test_there_and_back_with_the_volume_of_the_change(spec, values, y, linear):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -128,6 +130,13 @@ def test_bands_end_where_values_do():
         lower, upper = _spread_by_orders(ends).band(np.array([1.0, 39.0, 70.0]), at, np.zeros((3, 0)), 0.95)
         assert (lower >= ends[0]).all()
         np.testing.assert_allclose(upper, [80.0, 80.0, 140.0])
+    # Wider bands hold narrower ones, where they end and where they are beyond.
+    for ends in ((0.0, 40.0), (0.0, 1e-2), (0.5, 1.0)):
+        one = _spread_by_orders(ends)
+        near = one.at[:40] + 0.02
+        several = [one.band(np.ones(40), near, np.zeros((40, 0)), q) for q in (0.5, 0.8, 0.95, 0.99)]
+        for (lower, upper), (lower_, upper_) in itertools.pairwise(several):
+            assert ((lower_ <= lower) & (upper <= upper_)).all()
     # As a whole beyond: the range, and not a point.
     lower, upper = _spread_by_orders((0.0, 1e-9))._around(
         np.array([1e-3]), np.ones(1), np.array([9.0]), np.array([0.1])
