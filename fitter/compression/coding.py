@@ -47,9 +47,9 @@ class Scale:
         y = scale.logarithms(value, self.floor)
         return (y - scale.lift(y, self.step)) / self.step
 
-    def values(self, steps: FloatArray) -> FloatArray:
+    def values(self, steps: NDArray[np.floating[Any]]) -> FloatArray:
         """(N, C) what steps (N, C) are decoded to."""
-        return steps if self.exact else scale.values(steps.T, self.step, self.floor)
+        return np.asarray(steps, np.float64) if self.exact else scale.values(steps.T, self.step, self.floor)
 
 
 @dataclass(frozen=True)
@@ -217,13 +217,8 @@ def _decode(block: Block, box: Box, used: Scale, folds: Folds) -> Tile:
     if bits:
         flags = np.unpackbits(np.frombuffer(bits, np.uint8), count=int(np.prod(shape)))
         good = flags.astype(bool).reshape(shape)
-    if used.exact:
-        steps = unpack_array(coded, "<f8", shape)
-        value = np.ascontiguousarray(np.moveaxis(steps, 0, -1))
-    else:
-        steps = tile.decode(coded, shape, good)
-        value = scale.values(steps.reshape(channels, -1), used.step, used.floor)
-        value = value.reshape(*shape[1:], channels)
+    steps = unpack_array(coded, "<f8", shape) if used.exact else tile.decode(coded, shape, good)
+    value = np.ascontiguousarray(used.values(steps.reshape(channels, -1).T)).reshape(*box.shape, channels)
     if good is not None:
         channel, node = np.divmod(np.flatnonzero(~good), good.size // channels)
         kept = np.frombuffer(others, "<f8")

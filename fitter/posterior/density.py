@@ -92,6 +92,12 @@ class Density:
     def channels(self) -> int:
         return len(self.data.value)
 
+    @property
+    def search(self) -> slice:
+        """Where the search coordinates are in y."""
+        first = len(self.layout.linear) * self.channels
+        return slice(first, first + len(self.layout.entries))
+
     def __call__(self, y: FloatArray) -> FloatArray:
         """Log-density (W,) at vectors y (W, P).
 
@@ -145,9 +151,7 @@ class Density:
         if not self._named:
             return y
         assert self.centre is not None
-        y = y.copy()
-        first = len(self.layout.linear) * self.channels
-        u = slice(first, first + len(self.layout.entries))
+        y, u = y.copy(), self.search
         y[..., u] = ordered_axes(self.layout, y[..., u], self.centre[u])
         return y
 
@@ -158,11 +162,9 @@ class Density:
         in y. Other axes meet where they are equal, and the azimuth says nothing."""
         if not self._named:
             return []
-        first = len(self.layout.linear) * self.channels
-        u = slice(first, first + len(self.layout.entries))
 
         def twin(swap: Swap, y: FloatArray) -> FloatArray:
-            y = y.copy()
+            y, u = y.copy(), self.search
             y[:, u] = swap.across(y[:, u])
             return self.renamed(y)
 
@@ -175,11 +177,11 @@ class Density:
         low, high = self.lower.copy(), self.upper.copy()
         if self._named:
             assert self.centre is not None
-            where = len(self.layout.linear) * self.channels + azimuths(self.layout)
+            where = self.search.start + azimuths(self.layout)
             low[where], high[where] = self.centre[where] - np.pi / 2, self.centre[where] + np.pi / 2
             for swap in swaps(self.layout):
                 if len(swap.delta) == 1 and not len(swap.first):
-                    where = len(self.layout.linear) * self.channels + swap.delta
+                    where = self.search.start + swap.delta
                     low[where], high[where] = -np.pi / 4, np.pi / 4
         return low, high
 

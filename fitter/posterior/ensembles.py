@@ -21,7 +21,7 @@ from fitter.fitting.samples import Usable
 from fitter.posterior.blobs import Blobs, blobs
 from fitter.posterior.density import LARGEST_NOISE, Data, Density, Noise
 from fitter.posterior.free import Free
-from fitter.posterior.moves import Independence, free_mixture, mixture
+from fitter.posterior.moves import TWIN_SHARE, Independence, TwinMove, free_mixture, mixture
 from fitter.posterior.offsets import ANGLES, FARTHEST, tangents
 from fitter.spec import PosteriorSpec
 
@@ -169,14 +169,15 @@ class Ensembles:
 
     def _sampler(self) -> tuple[emcee.EnsembleSampler, Independence]:
         mean, covariance, _, found = self.proposal
-        density = self.density
         if found is None:
-            moves = mixture(mean, covariance, self.count, density.lower, density.upper, density.twins)
+            moves = mixture(mean, covariance, self.count, self.density.lower, self.density.upper)
         else:
-            moves = free_mixture(found, self.count, self.free, density.twins)
+            moves = free_mixture(found, self.count, self.free)
+        twins = [(TwinMove(twin), TWIN_SHARE) for twin in self.density.twins]
         sampler = emcee.EnsembleSampler(
-            len(self.proposal.walkers), self.density.size, self.density, vectorize=True, moves=moves
-        )
+            len(self.proposal.walkers), self.density.size, self.density, vectorize=True,
+            moves=[*moves, *twins],
+        )  # fmt: skip
         first = moves[0][0]
         assert isinstance(first, Independence)
         return sampler, first

@@ -127,9 +127,9 @@ class Free:
     def _noise(self) -> NDArray[np.intp]:
         """(2, K) coordinates of the relative noise and of the floor where both can be anything."""
         low, high = self._ends
-        density, c = self.density, self.density.channels
-        first = len(density.layout.linear) * c + len(density.layout.entries)
-        pairs = first + np.arange(0 if density.data.sigma is not None else 2 * c).reshape(2, -1)
+        density = self.density
+        count = 0 if density.data.sigma is not None else 2 * density.channels
+        pairs = density.search.stop + np.arange(count).reshape(2, -1)
         given = high[pairs[0]] < LARGEST_NOISE
         return pairs[:, (low[pairs] == 0.0).all(axis=0) & np.isinf(high[pairs[1]]) & ~given]
 
@@ -144,7 +144,7 @@ class Free:
         f = np.abs(np.asarray(_values(density.layout, density.noise, density.centre, density.on_device)))
         largest = np.where(f.any(axis=1), f.max(axis=1), 1.0)
         every = np.maximum(np.median(f, axis=1), LEAST_TYPICAL * largest)
-        return every[self._noise[1] - (density.size - density.noise.offsets - len(every))]
+        return every[self._noise[0] - density.search.stop]
 
     def _volume(self, v: FloatArray) -> FloatArray:
         """log |dy/dv| (W,) of the coordinates that have bounds."""

@@ -8,7 +8,7 @@ here is tested against targets of known spread.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import emcee
@@ -31,9 +31,8 @@ MIRRORS, NEAR = 5, 4.0
 #: of gamma = 1 cross between modes.
 SHARES = (0.8, 0.15, 0.05)
 FREE_SHARES = (0.6, 0.3, 0.1)
-#: Beside them, of each move to a twin.
+#: Beside either, of each move to a twin.
 TWIN_SHARE = 0.05
-Twin = Callable[[FloatArray], FloatArray]
 
 
 class Coordinates(Protocol):
@@ -215,7 +214,7 @@ class TwinMove(emcee.moves.Move):
     volumes (L. Tierney, "A note on Metropolis-Hastings kernels for general state spaces", Annals of Applied
     Probability 8, 1998)."""
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: Callable[[FloatArray], FloatArray]) -> None:
         self.twin = twin
 
     def propose(self, model: Model, state: State) -> tuple[State, NDArray[np.bool_]]:
@@ -227,23 +226,23 @@ class TwinMove(emcee.moves.Move):
 
 def mixture(
     mode: FloatArray, covariance: FloatArray, ensembles: int, lower: FloatArray | float = -np.inf,
-    upper: FloatArray | float = np.inf, twins: Sequence[Twin] = (),
-) -> list[tuple[emcee.moves.Move, float]]:  # fmt: skip
+    upper: FloatArray | float = np.inf,
+) -> list[tuple[Independence | DifferenceMove, float]]:  # fmt: skip
     """Independence proposals mixed with differential evolution, which learns a shape that isn't normal.
 
-    lower, upper : bounds, beyond which the density is 0. twins : see :class:`TwinMove`.
+    lower, upper : bounds, beyond which the density is 0.
     """
     independence = IndependenceMove(mode, covariance, lower, upper)
     moves = (independence, DifferenceMove(ensembles), DifferenceMove(ensembles, 1.0))
-    return [*zip(moves, SHARES, strict=True), *((TwinMove(twin), TWIN_SHARE) for twin in twins)]
+    return list(zip(moves, SHARES, strict=True))
 
 
 def free_mixture(
-    found: Blobs, ensembles: int, coordinates: Coordinates, twins: Sequence[Twin] = ()
-) -> list[tuple[emcee.moves.Move, float]]:
+    found: Blobs, ensembles: int, coordinates: Coordinates
+) -> list[tuple[Independence | DifferenceMove, float]]:
     """The like of :func:`mixture` for a posterior of any shape, in coordinates without bounds."""
     moves = (
         BlobsMove(found, coordinates), DifferenceMove(ensembles, None, coordinates),
         DifferenceMove(ensembles, 1.0, coordinates),
     )  # fmt: skip
-    return [*zip(moves, FREE_SHARES, strict=True), *((TwinMove(twin), TWIN_SHARE) for twin in twins)]
+    return list(zip(moves, FREE_SHARES, strict=True))
